@@ -12,9 +12,9 @@ from runtime.base.errors import InputError
 from training.datasets.registry import parse_data
 from training.lidar.split import LidarInput
 from training.scores.differences import compare
-from training.scores.evaluated_set import open_sets
+from training.scores.evaluated_set import Feed, open_sets
 from training.scores.score_report import Row
-from training.scores.score_set import Feed, Result, score_sets
+from training.scores.score_set import Result, score_sets
 from training.scores.scored_model import open_exported
 
 # LiDAR inputs with which a file is measured: all returns of a frame, 16 scan lines, no returns. If
@@ -92,8 +92,8 @@ def _score(files: Sequence[Path], data: Sequence[str], lidars: Sequence[str]) ->
     with ExitStack() as stack:
         models = {str(file): stack.enter_context(open_exported(file)) for file in files}
         tables = {name: model.table for name, model in models.items() if model.table}
-        sets = open_sets([parse_data(text) for text in data], tables)
-        return score_sets(models, sets, feeds, leave_out_fed=True)
+        sets = open_sets([parse_data(text) for text in data], tables, leave_out_fed=True)
+        return score_sets(models, sets, feeds)
 
 
 def accuracy_of(row: Row) -> Accuracy:

@@ -15,7 +15,7 @@ from training.datasets.class_mapping import list_classes
 from training.datasets.sample import Sample
 from training.scores.evaluated_set import EvaluatedSet
 from training.scores.score_report import Row
-from training.scores.score_set import Result, split_feeds
+from training.scores.score_set import Result
 from training.scores.scored_model import ScoredModel
 from training.scores.scoring import HeadMaps
 from training.scores.shared_classes import ScoredClasses
@@ -103,7 +103,7 @@ def _draw(
     row = pair[0].row
     for index in sorted(errors[0], key=lambda index: -errors[0][index])[:WORST]:
         sample, _ = data.read(index)
-        ((_, _, frame, fed),) = split_feeds(sample, index, [pair[0].feed], leave_out_fed=False)
+        ((_, _, frame, fed),) = data.split(sample, index, [pair[0].feed])
         answers = [data.answer(models[item.row.model], frame.sample, fed, index) for item in drawn]
         target = np.where(frame.target <= data.farthest_m, frame.target, np.float32(0))
         other = drawn[1].row.model if len(drawn) > 1 else ""

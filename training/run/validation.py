@@ -23,9 +23,9 @@ from training.run.score_table import SHOWN
 from training.run.state import Step
 from training.run.task import Task
 from training.scores.differences import compare
-from training.scores.evaluated_set import EvaluatedSet
+from training.scores.evaluated_set import EvaluatedSet, Feed
 from training.scores.score_report import OTHER
-from training.scores.score_set import Feed, Result, score_set
+from training.scores.score_set import Result, score_set
 from training.scores.scored_model import open_network
 from training.scores.scoring import scored_classes
 from training.scores.shared_classes import ScoredClasses

@@ -1,4 +1,4 @@
-"""Depth errors by the distance of a pixel to the nearest return that was fed.
+"""Regions of a frame by the distance of a pixel to the nearest return that was fed.
 
 Distances are Euclidean between the centres of pixels, at the size of the frame.
 """
@@ -10,8 +10,6 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from training.scores.metrics import Accumulator, DepthErrors, ErrorSums
-
 # Largest distance [px] of each region.
 RETURN_DISTANCES: Mapping[str, float] = {
     "return_0_px": 0,
@@ -19,25 +17,6 @@ RETURN_DISTANCES: Mapping[str, float] = {
     "return_3_6_px": 6,
     "return_over_6_px": math.inf,
 }
-
-
-class DepthRegionScores(Accumulator):
-    """MAE and RMSE of each of the `RETURN_DISTANCES`."""
-
-    def __init__(self) -> None:
-        self._sums = {region: ErrorSums() for region in RETURN_DISTANCES}
-
-    def update(self, errors: DepthErrors, fed: NDArray[np.floating]) -> None:
-        """Count a frame by its errors and the depth that was fed, float (H, W), 0 = no return."""
-        for region, mask in split_distances(distance_px(fed > 0)).items():
-            self._sums[region].add(errors.error[mask[errors.known]])
-
-    def figures(self) -> dict[str, float]:
-        """Return the errors [m] of all frames so far."""
-        figures: dict[str, float] = {}
-        for region, sums in self._sums.items():
-            figures |= sums.figures(f"m_{region}")
-        return figures
 
 
 def split_distances(to_return_px: NDArray[np.float32]) -> dict[str, NDArray[np.bool_]]:

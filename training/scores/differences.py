@@ -9,7 +9,8 @@ single frames would make the interval too narrow.
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
-from typing import NamedTuple
+from operator import attrgetter
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,7 +31,7 @@ LEAST_SCORED = 0.8
 _CHUNK = 100
 _Array = NDArray[np.float64]
 # The sums of each frame, what gives figures of summed frames, and the names of these figures.
-_Kind = tuple[Callable[[Sequence[FrameScore]], _Array], Callable[[_Array], _Array], tuple[str, ...]]
+_Kind = tuple[Callable[[FrameScore], Any], Callable[[_Array], _Array], tuple[str, ...]]
 
 
 class Interval(NamedTuple):
@@ -106,12 +107,13 @@ def _differences(first: Result, second: Result) -> Iterator[tuple[str, Interval]
     )
     heads = sorted({head for found in frames for frame in found for head in frame.others})
     kinds: list[_Kind] = [
-        (_confusions, _mean_iou, ("miou",)),
-        (_depths, _errors, ("mae_m", "rmse_m")),
-        *((partial(_others, head), _errors, (f"{OTHER}{head}",)) for head in heads),
+        (attrgetter("confusion"), _mean_iou, ("miou",)),
+        (attrgetter("depth"), _errors, ("mae_m", "rmse_m")),
+        *((partial(_other, head), _errors, (f"{OTHER}{head}",)) for head in heads),
     ]
-    for sums, figures, keys in kinds:
-        totals = [_by_group(sums(found), group) for found in frames]
+    for part, figures, keys in kinds:
+        sums = [np.array([part(frame) for frame in found], np.float64) for found in frames]
+        totals = [_by_group(each, group) for each in sums]
         if not all(total.any() for total in totals):
             continue
         whole = [figures(total.sum(axis=0)[None]) for total in totals]
@@ -137,16 +139,8 @@ def _by_group(values: NDArray[np.float64], group: NDArray[np.intp]) -> NDArray[n
     return sums
 
 
-def _confusions(frames: Sequence[FrameScore]) -> NDArray[np.float64]:
-    return np.stack([frame.confusion for frame in frames]).astype(np.float64)
-
-
-def _depths(frames: Sequence[FrameScore]) -> NDArray[np.float64]:
-    return np.stack([frame.depth for frame in frames])
-
-
-def _others(head: str, frames: Sequence[FrameScore]) -> NDArray[np.float64]:
-    return np.stack([frame.others.get(head, np.zeros(3)) for frame in frames])
+def _other(head: str, frame: FrameScore) -> NDArray[np.float64]:
+    return frame.others.get(head, np.zeros(3))
 
 
 def _mean_iou(confusion: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -1,6 +1,6 @@
 """The data sets on which models are scored, opened with the classes that all share."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
 
@@ -12,25 +12,40 @@ from runtime.contract.contract import NO_CLASS
 from training.datasets.class_mapping import ClassTable, list_classes
 from training.datasets.sample import Sample, SampleSource
 from training.datasets.source_recipe import SourceRecipe
+from training.lidar.faults import add_fault
+from training.lidar.split import LidarInput, LidarSplit, frame_generator, split_lidar
+from training.loading.camera_faults import CAMERA_FAULTS, spoil
 from training.loading.open_dataset import open_dataset, spread_indices
 from training.scores.metrics import FARTHEST_M
 from training.scores.scored_model import ScoredModel
-from training.scores.scoring import HeadMaps
+from training.scores.scoring import HeadMaps, Scores
 from training.scores.shared_classes import ScoredClasses, join_names, share_classes
 
+# A LiDAR input, and a fault of the LiDAR or the camera.
+Feed = tuple[LidarInput, str]
+# Strength of the faults of a camera, see `spoil`: a blur by 12 px, a tenth of the light.
+CAMERA_FAULT_STRENGTH = 0.8
 # Keys that say how files are read, and are no part of a set's title.
 _READING = ("kind", "path", "rgb", "label_ids", "label_colors", "label_classes", "depth_scale")
 
 
 @dataclass(frozen=True)
 class EvaluatedSet:
-    """An open data set, the frames of it that are scored, their classes, and the range [m]."""
+    """An open data set, the frames of it that are scored, their classes, and the range [m].
+
+    With `leave_out_fed`, frames whose input is the depth to score are left out, and no error.
+    """
 
     title: str
     source: SampleSource
     classes: ScoredClasses
     indices: Sequence[int]
     farthest_m: float = FARTHEST_M
+    leave_out_fed: bool = False
+
+    def begin_scores(self) -> Scores:
+        """Return scores of the classes and the range without any frame."""
+        return Scores(len(self.classes.names), self.farthest_m)
 
     def read(self, index: int) -> tuple[Sample, NDArray[np.int64]]:
         """Return a frame with labels in the scored classes, and its labelled and scored pixels."""
@@ -50,10 +65,8 @@ class EvaluatedSet:
         if answer.semantic is None:
             return answer
         table = model.table or self.classes.table
-        highest, count = (
-            answer.semantic[answer.semantic != NO_CLASS].max(initial=0),
-            len(list_classes(table)),
-        )
+        highest = answer.semantic[answer.semantic != NO_CLASS].max(initial=0)
+        count = len(list_classes(table))
         if highest >= count:
             raise InputError(
                 f"{sample.name}: the answer has the class id {highest}, and there are {count} "
@@ -62,6 +75,37 @@ class EvaluatedSet:
             )
         lookup = self.classes.lookup(table, len(self.classes.names))
         return answer.with_semantic(lookup[answer.semantic])
+
+    def split(
+        self, sample: Sample, index: int, feeds: Sequence[Feed]
+    ) -> Iterator[tuple[Feed, str, LidarSplit, NDArray[np.float32]]]:
+        """Yield the inputs that a frame gives: the feed, its name, the split, and what is fed.
+
+        The image of the split is that of a faulty camera, if the feed has such a fault. Raises
+        InputError if a LiDAR feeds the depth to score and is not to be left out.
+        """
+        for feed in feeds:
+            lidar, fault = feed
+            rng = frame_generator(index)  # the same for every model, whatever the limit
+            frame = split_lidar(sample, lidar, rng)
+            if frame is None:
+                continue
+            if frame.target.any() and np.array_equal(frame.fed, frame.target):
+                if self.leave_out_fed:
+                    continue
+                raise InputError(
+                    f"{sample.name}: with the LiDAR {str(lidar)!r} the input is the depth to "
+                    "score, so that an error of 0 would mean nothing: feed a share with --lidar "
+                    "random:0.5, or give denser depth"
+                )
+            name, fed = str(lidar) if frame.fed.any() else "none", frame.fed
+            if fault in CAMERA_FAULTS:
+                image = spoil(frame.sample.rgb, fault, CAMERA_FAULT_STRENGTH, rng)
+                frame = frame._replace(sample=frame.sample.with_image(image))
+                name = f"{name}-{fault}"
+            elif fault != "none" and name != "none":
+                name, fed = f"{name}-{fault}", add_fault(fed, fault, rng)
+            yield feed, name, frame, fed
 
     def image_name(self, index: int) -> str | None:
         """Return the stem of a frame's image; None if the set does not know its files."""
@@ -82,6 +126,7 @@ def open_sets(
     join: Mapping[str, Sequence[str]] | None = None,
     limit: int | None = None,
     farthest_m: float = FARTHEST_M,
+    leave_out_fed: bool = False,
 ) -> list[EvaluatedSet]:
     """Open sets with the classes that they share with the models.
 
@@ -92,6 +137,7 @@ def open_sets(
         join: see `join_names`.
         limit: number of frames of each set, evenly spread; None: all.
         farthest_m: farthest true depth [m] that is scored.
+        leave_out_fed: see `EvaluatedSet`.
     """
     own = [recipe.label_table or ids or () for recipe in recipes]
     joined = join_names(join or {}, [*own, *tables.values()])
@@ -102,7 +148,7 @@ def open_sets(
         classes = share_classes(recipe, title, tables, ids=ids, joined=joined)
         source = open_dataset(recipe, [Path()], classes=classes.table)
         indices = spread_indices(source, limit or len(source))
-        opened.append(EvaluatedSet(title, source, classes, indices, farthest_m))
+        opened.append(EvaluatedSet(title, source, classes, indices, farthest_m, leave_out_fed))
     return opened
 
 

@@ -6,6 +6,7 @@ pixels. Everything is counted over pixels, not averaged over frames. Figures for
 measured are left out.
 """
 
+import copy
 import math
 from collections.abc import Sequence
 from typing import Any, Self
@@ -18,6 +19,7 @@ from numpy.typing import NDArray
 from models.classes import CATEGORIES
 from runtime.contract.contract import NO_CLASS
 from training.losses.boundary import boundary_target
+from training.scores.depth_regions import RETURN_DISTANCES, distance_px, split_distances
 
 # End of the widest range of Table 1 [m]; unless another limit is given, pixels with a farther true
 # depth are not scored.
@@ -40,7 +42,7 @@ _NEAREST_M = 0.1
 
 
 class Accumulator:
-    """Sums over frames: arrays, counts, sets, and accumulators by name or in a dictionary."""
+    """Sums over frames: arrays, counts, lists, sets, and accumulators, also in a dictionary."""
 
     def merge(self, other: Self) -> None:
         """Add the sums of another accumulator."""
@@ -49,13 +51,18 @@ class Accumulator:
             match ours:
                 case np.ndarray() | int():
                     setattr(self, name, ours + theirs)
+                case list():
+                    ours.extend(theirs)
                 case set():
                     ours |= theirs
                 case Accumulator():
                     ours.merge(theirs)
                 case dict():
                     for key, part in theirs.items():
-                        ours.setdefault(key, type(part)()).merge(part)
+                        if key in ours:
+                            ours[key].merge(part)
+                        else:
+                            ours[key] = copy.deepcopy(part)
 
 
 class SemanticScores(Accumulator):
@@ -235,7 +242,7 @@ class DepthErrors:
 
 
 class DepthScores(Accumulator):
-    """MAE, RMSE and median of depth, MAE and RMSE of its inverse, and MAE and RMSE within ranges.
+    """MAE, RMSE and median of depth, MAE and RMSE of its inverse, within ranges, and near returns.
 
     A range contains the true depths above its first and up to its last value [m]; the last one ends
     at `farthest_m`, if that is beyond `FARTHEST_M`. The median comes from a histogram and is exact
@@ -252,14 +259,22 @@ class DepthScores(Accumulator):
         self._metres, self._per_km, self._px = ErrorSums(), ErrorSums(), ErrorSums()
         beyond = ((FARTHEST_M, farthest_m),) if farthest_m > FARTHEST_M else ()
         self._ranges = {item: ErrorSums() for item in (*RANGES_M, *beyond)}
+        self._regions = {region: ErrorSums() for region in RETURN_DISTANCES}
         self._histogram = np.zeros(len(_ERROR_BINS_M) - 1)
 
-    def update(self, errors: DepthErrors, focal_baseline_px_m: float | None = None) -> None:
+    def update(
+        self,
+        errors: DepthErrors,
+        focal_baseline_px_m: float | None = None,
+        fed: NDArray[np.floating] | None = None,
+    ) -> None:
         """Count a frame.
 
         Args:
             errors: its errors. Before depth is inverted, values below 0.1 m become 0.1 m.
             focal_baseline_px_m: focal length times baseline [px m]; None: there is no disparity.
+            fed: the depth that was fed, float (H, W), 0 = no return, for the errors in each of
+                `RETURN_DISTANCES`; None: these are not counted.
         """
         truth, error = errors.truth, errors.error
         self.unscored += errors.unscored
@@ -274,6 +289,9 @@ class DepthScores(Accumulator):
         self._per_km.add(1000 * inverse)
         if focal_baseline_px_m is not None:
             self._px.add(focal_baseline_px_m * inverse)
+        if fed is not None:
+            for region, mask in split_distances(distance_px(fed > 0)).items():
+                self._regions[region].add(error[mask[errors.known]])
 
     @property
     def sums(self) -> NDArray[np.float64]:
@@ -292,7 +310,10 @@ class DepthScores(Accumulator):
         figures["median_m"] = math.sqrt(_ERROR_BINS_M[middle] * _ERROR_BINS_M[middle + 1])
         inverse = self._per_km.figures("per_km")
         figures |= {f"i{name}": value for name, value in inverse.items()}
-        return figures | self._px.figures("px")
+        figures |= self._px.figures("px")
+        for region, sums in self._regions.items():
+            figures |= sums.figures(f"m_{region}")
+        return figures
 
 
 class BoundaryScores(Accumulator):

@@ -229,16 +229,14 @@ def _columns(keys: Collection[str]) -> list[Column]:
 
 def _by_model(rows: Sequence[Row], columns: Sequence[Column], width: int | None) -> list[str]:
     """Return a table with a line for each row."""
-    titles = ["model", "data", "frames", "LiDAR"]
-    titles += ["fault"] if any(row.fault != "none" for row in rows) else []
+    keys = 4 + any(row.fault != "none" for row in rows)
+    titles = ["model", "data", "frames", "LiDAR", "fault"][:keys]
     cells = [[*titles, *(column.title for column in columns)]]
     for row in rows:
         for frames, figures in _lines(row):
-            words = {"model": row.model, "data": row.data, "frames": frames, "LiDAR": row.lidar}
-            words["fault"] = row.fault
-            shown = (column.show(figures) for column in columns)
-            cells.append([*(words[title] for title in titles), *shown])
-    return _markdown(cells, keys=len(titles), width=width)
+            words = [row.model, row.data, frames, row.lidar, row.fault][:keys]
+            cells.append([*words, *(column.show(figures) for column in columns)])
+    return _markdown(cells, keys, width)
 
 
 def _by_figure(rows: Sequence[Row], columns: Sequence[Column], width: int | None) -> list[str]:

@@ -20,7 +20,6 @@ from runtime.engine.prediction import HeadArrays
 from runtime.engine.preprocess import preprocess
 from training.datasets.sample import SampleSource, labelled
 from training.lidar.split import LidarInput, LidarSplit, frame_generator, split_lidar
-from training.scores.depth_regions import DepthRegionScores
 from training.scores.metrics import (
     FARTHEST_M,
     Accumulator,
@@ -113,7 +112,6 @@ class Scores(Accumulator):
         self.semantic = SemanticScores(num_classes)
         self.depth = DepthScores(farthest_m)
         self.boundary = BoundaryScores()
-        self.regions = DepthRegionScores()
         self.uncertainty = UncertaintyScores()
         self.road = RoadScores(num_classes)
         self.others: dict[str, ErrorSums] = {}  # of heads without other figures
@@ -130,8 +128,7 @@ class Scores(Accumulator):
             self.road.update(answer.semantic, sample.targets["road_mask"])
         if answer.depth is not None and frame.target.any():
             errors = DepthErrors(answer.depth, frame.target, self._farthest_m)
-            self.depth.update(errors, sample.focal_baseline_px_m)
-            self.regions.update(errors, frame.fed)
+            self.depth.update(errors, sample.focal_baseline_px_m, frame.fed)
             if answer.depth_uncertainty is not None:
                 self.uncertainty.update(answer.depth_uncertainty, errors)
         if answer.boundary is not None and has_classes:
@@ -166,7 +163,6 @@ class Scores(Accumulator):
             **self.semantic.figures(class_names),
             **self.road.figures(class_names),
             **self.depth.figures(),
-            **self.regions.figures(),
             **self.uncertainty.figures(),
             **self.boundary.figures(boundary_threshold),
             **{f"mean_error_{head}": part.mean for head, part in sorted(self.others.items())},

@@ -3,13 +3,8 @@
 import numpy as np
 import pytest
 
-from training.scores.depth_regions import (
-    RETURN_DISTANCES,
-    DepthRegionScores,
-    distance_px,
-    split_distances,
-)
-from training.scores.metrics import DepthErrors
+from training.scores.depth_regions import RETURN_DISTANCES, distance_px, split_distances
+from training.scores.metrics import DepthErrors, DepthScores
 
 
 def test_distances_equal_loops():
@@ -35,9 +30,9 @@ def test_errors_by_hand_and_merged():
     depth[0, 9] = 0  # unknown
     fed = np.where(np.arange(10) == 0, depth, 0)
     answer = depth + np.array([3, 1, 1, 0, 0, 0, 2, -4, 4, 9])
-    scores, other = DepthRegionScores(), DepthRegionScores()
-    scores.update(DepthErrors(answer, depth), fed)
-    other.update(DepthErrors(depth, depth), fed)
+    scores, other = DepthScores(), DepthScores()
+    scores.update(DepthErrors(answer, depth), fed=fed)
+    other.update(DepthErrors(depth, depth), fed=fed)
     figures = scores.figures()
     assert figures["mae_m_return_0_px"] == 3
     assert figures["mae_m_return_1_2_px"] == 1
