@@ -19,7 +19,6 @@ from tqdm import tqdm
 from runtime.base.errors import DatasetError, InputError
 from runtime.command.process import leave_signals_to_parent
 from training.base.own_code import is_of_loader
-from training.base.processes import Processes
 from training.datasets.sample import SampleSource
 from training.loading.batch import Batch
 from training.loading.data_recipe import DataRecipe
@@ -33,17 +32,17 @@ _SHARED, _PIXEL_BYTES = "/dev/shm", 16
 
 
 @contextmanager
-def read_batches(task: Task, processes: Processes, step: int) -> Iterator[Iterator[Batch]]:
+def read_batches(task: Task, step: int) -> Iterator[Iterator[Batch]]:
     """Yield this process's batches from a step to the end, and end the workers with the block.
 
     Workers ignore SIGTERM: while a traceback keeps the iterator, Python would wait for them at
     exit for ever.
     """
-    recipe, batch = task.recipe, task.data.batch_size
+    recipe, processes, batch = task.recipe, task.processes, task.data.batch_size
     steps = recipe.schedule.steps
     per_step = recipe.loop.accumulate * batch * processes.count
     parts = _list_parts(task.data, task.sources)
-    workers = _fitting_workers(task, processes)
+    workers = _fitting_workers(task)
     loader = DataLoader(
         Mixture(
             parts,
@@ -91,7 +90,7 @@ def _list_parts(recipe: DataRecipe, sources: Sequence[SampleSource]) -> list[Mix
     ]
 
 
-def _fitting_workers(task: Task, processes: Processes) -> int:
+def _fitting_workers(task: Task) -> int:
     """Return the number of workers; 0, and a warning, where shared memory cannot hold batches.
 
     A worker that cannot write to it prints an error and goes on, and the training would wait.
@@ -99,12 +98,12 @@ def _fitting_workers(task: Task, processes: Processes) -> int:
     data = task.data
     if not data.workers or not os.path.isdir(_SHARED):
         return data.workers
-    pixels = (1 + bool(data.augment.pair_shift)) * data.batch_size * math.prod(data.augment.size)
-    needed = processes.count * data.workers * (_PREFETCHED + 1) * pixels * _PIXEL_BYTES
+    pixels = task.crops * math.prod(data.augment.size)
+    needed = task.processes.count * data.workers * (_PREFETCHED + 1) * pixels * _PIXEL_BYTES
     free = shutil.disk_usage(_SHARED).free
     if needed <= free:
         return data.workers
-    if processes.is_first:
+    if task.processes.is_first:
         text = (
             f"warning: {_SHARED} has {free / 1e6:.3g} MB free, and the batches of {data.workers} "
         )

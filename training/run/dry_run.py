@@ -35,7 +35,7 @@ def dry_run(stages: Sequence[Stage], run: TrainingRun) -> RunResult:
     recipe = stage.recipe
     with join_processes(run.device) as processes:
         task = open_task(recipe, run, processes)
-        with read_batches(task, processes, step=0) as batches:
+        with read_batches(task, step=0) as batches:
             batch = next(batches)
         if processes.is_first:
             with folder_errors(run.out):

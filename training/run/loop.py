@@ -13,10 +13,11 @@ from tqdm import tqdm
 from models import Network, save_checkpoint
 from models.checkpoint import BEST, FINAL, LAST
 from models.training_facts import TrainingFacts
-from training.base.processes import Processes, join_processes
+from training.base.processes import join_processes
 from training.base.stop_signal import StopRequested
 from training.loading.batch import Batch
 from training.run.batches import read_batches
+from training.run.provenance import state_provenance
 from training.run.recipe import Recipe
 from training.run.run_folder import (
     PAGE,
@@ -78,7 +79,7 @@ def train(recipe: Recipe, run: TrainingRun) -> RunResult:
             files = list_data(run.data, [folder for item in sets for folder in item.folders])
             prepare_folder(run.out, resolved, files, run.data)
         processes.wait()
-        loop = _Loop(run, processes, task, resolved)
+        loop = _Loop(task, resolved)
         loop.state.resume(stopped.path)
         if loop.is_complete and final.path.is_file():
             loop.tell(f"all {loop.steps} steps of {run.out} are done")
@@ -99,11 +100,9 @@ def train(recipe: Recipe, run: TrainingRun) -> RunResult:
 class _Loop:
     """A training in one of its processes: its steps, and what is written between them."""
 
-    def __init__(
-        self, run: TrainingRun, processes: Processes, task: Task, resolved: Mapping[str, Any]
-    ) -> None:
-        self._recipe, self._run, self._processes, self._task = task.recipe, run, processes, task
-        self.state = TrainingState(task, processes, run.out)
+    def __init__(self, task: Task, resolved: Mapping[str, Any]) -> None:
+        self._recipe, self._run, self._processes = task.recipe, task.run, task.processes
+        self._task, self.state = task, TrainingState(task)
         self.steps = task.recipe.schedule.steps
         self._resolved = resolved
         self._scores: ScoreTable | None = None  # of the first process, which alone writes it
@@ -138,7 +137,7 @@ class _Loop:
                 mininterval=1.0 if sys.stderr.isatty() else 30.0,  # a line of a log file
                 disable=not is_first,
             ) as bar,
-            read_batches(self._task, self._processes, first) as batches,
+            read_batches(self._task, first) as batches,
         ):
             self._score_start(board)
             self._take_steps(batches, board, bar)
@@ -163,7 +162,6 @@ class _Loop:
             self._run.out / PAGE,
             known=self._results,
             curves=self._scores.curves if self._scores else {},
-            stop=self._run.stop,
         )
 
     def _score_start(self, board: Board) -> None:
@@ -182,9 +180,7 @@ class _Loop:
         last = self.steps if limit is None else min(self.steps, limit)
         if state.step < last:
             # In every process, since batch statistics are sums over all of them.
-            views = 2 if self._task.data.augment.pair_shift else 1
-            crops, size = views * self._task.data.batch_size, self._task.data.augment.size
-            minutes = (last - state.step) * state.estimate_step_s(crops, size) / 60
+            minutes = (last - state.step) * state.estimate_step_s() / 60
             self.tell(f"the {last - state.step} steps take about {max(1, round(minutes))} minutes")
         while state.step < last and not self._processes.any_of(self._run.stop()):
             done = state.advance(batches)
@@ -207,15 +203,7 @@ class _Loop:
     def _score(self, name: str, network: Network, board: Board) -> None:
         """Validate; the first process alone writes the table and the best weights."""
         step = self.state.step
-        self._results[name] = validate(
-            name,
-            network,
-            self._task,
-            self._processes,
-            board,
-            step,
-            stop=self._run.stop,
-        )
+        self._results[name] = validate(name, network, self._task, board, step)
         figures = {result.row.data: result.row.figures for result in self._results[name]}
         if self._scores and self._scores.add(step, figures, self._recipe.validation.best):
             save_checkpoint(self._run.out / BEST, network, training=self._facts())
@@ -226,9 +214,10 @@ class _Loop:
         return adjust_logits(self.state.averaged, self._task.criterion.class_weights, share)
 
     def _facts(self) -> dict[str, Any]:
+        data, terms = state_provenance(self._recipe, self._run.init, self._run.teacher)
         return TrainingFacts(
-            data=self._task.known_data,
-            terms=self._task.data_terms,
+            data=data,
+            terms=terms,
             trained_height=self._recipe.model.trained_height,
             step=self.state.step,
             **self._resolved,

@@ -37,6 +37,13 @@ _FILES = [Path(name) for name in (RECIPE, LAST, FINAL, BEST, SCORES, PAGE, TENSO
 # Keys of recipe.json: the data's files at the first start, and the folders that held them at the
 # last start, in which `ssdnet-eval RUN` finds the validation sets.
 _DATA, DATA_FOLDERS = "data_files", "data_folders"
+# What differs from the files of the first start, by the facts of `list_data`.
+_CHANGES = {
+    "files": "{was} files when the run began, now {now}",
+    "sha256": "the {files} files have other names than when the run began",
+    "bytes": "the files had {was} bytes when the run began, now {now}",
+    "content": "the files have another content than when the run began",
+}
 # Of a larger file this number of blocks [bytes] is compared.
 _BLOCKS, _BLOCK = 16, 4096
 # Keys that may change when a run is resumed: they affect neither the weights nor the choice of
@@ -85,18 +92,13 @@ def prepare_folder(
 
 
 def _difference(was: Mapping[str, Any], now: Mapping[str, Any]) -> str:
-    """Return in words how the files of a set differ from those of the first start; "" if not."""
-    if not was:  # earlier releases listed fewer folders
-        return ""
-    if was["files"] != now["files"]:
-        return f"{was['files']} files when the run began, now {now['files']}"
-    if was["sha256"] != now["sha256"]:
-        return f"the {now['files']} files have other names than when the run began"
-    if "bytes" in was and was["bytes"] != now["bytes"]:
-        return f"the files had {was['bytes']} bytes when the run began, now {now['bytes']}"
-    if "content" in was and was["content"] != now["content"]:
-        return "the files have another content than when the run began"
-    return ""
+    """Return in words how the files of a set differ from those of the first start; "" if not.
+
+    Earlier releases listed fewer folders and fewer facts.
+    """
+    changed = (key for key in _CHANGES if key in was and was[key] != now[key])
+    key = next(changed, None)
+    return "" if key is None else _CHANGES[key].format(was=was[key], now=now[key], **now)
 
 
 def list_data(roots: Sequence[Path], paths: Sequence[str]) -> dict[str, dict[str, Any]]:

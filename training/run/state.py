@@ -17,7 +17,7 @@ from models.answers import head_maps
 from runtime.base.arguments import shown
 from runtime.base.errors import CheckpointError, InputError, SSDNetError
 from runtime.files.atomic_write import atomic_write
-from training.base.processes import Processes, share_network
+from training.base.processes import share_network
 from training.loading.batch import Batch
 from training.run.optimizer import learning_rate
 from training.run.task import Task
@@ -48,20 +48,18 @@ class TrainingState:
 
     Args:
         task: what it trains on what.
-        processes: the processes that train together.
-        out: folder of the run, for errors.
     """
 
-    def __init__(self, task: Task, processes: Processes, out: Path) -> None:
+    def __init__(self, task: Task) -> None:
         self.step = 0
-        self._recipe, self._processes, self._out = task.recipe, processes, out
+        self._task, self._recipe, self._processes = task, task.recipe, task.processes
         self._network, self.criterion, self._teacher = task.network, task.criterion, task.teacher
         self._optimizer = task.optimizer
         self._peaks = [group["lr"] for group in task.optimizer.param_groups]
         # Buffers are averaged too: batch statistics must fit the averaged weights.
         update = exponential_average(task.recipe.loop.ema_decay)
         self._average = AveragedModel(task.network, multi_avg_fn=update, use_buffers=True)
-        self._forward = share_network(task.network, processes)
+        self._forward = share_network(task.network, task.processes)
 
     @property
     def averaged(self) -> Network:
@@ -105,16 +103,14 @@ class TrainingState:
             trainer = {"step": self.step, **states}
             save_checkpoint(path, self._network, training=training, trainer=trainer)
 
-    def estimate_step_s(self, batch: int, size: tuple[int, int]) -> float:
-        """Return about how long a step of crops of (height, width) takes [s]; nothing changes.
+    def estimate_step_s(self) -> float:
+        """Return about how long a step takes [s]; nothing changes.
 
         It is the time of the second of two forward and backward passes of a copy.
         """
         network, took_s = copy.deepcopy(self._network), 0.0
-        inputs = [
-            torch.zeros(batch, channels, *size, device=self._processes.device)
-            for channels in (3, 1)
-        ]
+        crops, size = self._task.crops, self._task.data.augment.size
+        inputs = [torch.zeros(crops, n, *size, device=self._processes.device) for n in (3, 1)]
         on_image = self.criterion.config.semantic_grid == "image"
         with torch.random.fork_rng():
             for _ in range(2):
@@ -168,7 +164,7 @@ class TrainingState:
 
         Loss and gradient are the same in all processes, so that all raise it.
         """
-        path = self._out / _NON_FINITE
+        path = self._task.run.out / _NON_FINITE
         # Text: JSON has no NaN.
         values = {name: str(term.item()) for name, term in terms.items()}
         frames = [name for part in self._processes.gather(names) for name in part]

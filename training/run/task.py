@@ -8,8 +8,6 @@ import sys
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from pathlib import Path
-from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -42,7 +40,7 @@ from training.losses import SSDNetLoss, class_weights
 from training.losses.terms import Term
 from training.run.network import build_network
 from training.run.optimizer import OptimizerRecipe, build_optimizer
-from training.run.provenance import require_own_data, state_provenance
+from training.run.provenance import require_own_data
 from training.run.recipe import Recipe
 from training.run.training_run import TrainingRun
 from training.run.validation_recipe import ValidationRecipe
@@ -59,6 +57,8 @@ class Task:
 
     Attributes:
         recipe: the recipe as it was given.
+        run: what controls the training beside the recipe.
+        processes: the processes that train together.
         data: the data of the recipe, with a crop for its sets and no more workers than cores.
         sources: the sets of the mixture.
         validation: the validation sets by title.
@@ -66,13 +66,12 @@ class Task:
         criterion: the loss, on the same device.
         optimizer: the optimiser of network and loss, at the recipe's rates.
         targets: the targets that the loss uses.
-        depth_target: unit of the depth target, and the depth of the sky.
-        known_data: names of the data that the weights were trained on, also in other trainings.
-        data_terms: terms of these data.
         teacher: the network whose answers are learned, on the same device; None: no teacher.
     """
 
     recipe: Recipe
+    run: TrainingRun
+    processes: Processes
     data: DataRecipe
     sources: Sequence[SampleSource]
     validation: Mapping[str, SampleSource]
@@ -80,15 +79,29 @@ class Task:
     criterion: SSDNetLoss
     optimizer: torch.optim.Optimizer
     targets: Collection[str]
-    depth_target: DepthTarget
-    known_data: tuple[str, ...]
-    data_terms: str
     teacher: Network | None
 
     @property
     def pair_step(self) -> int:
         """Step [px] of the shift between two views: cells of the semantic head then coincide."""
         return math.lcm(PAIR_STEP_PX, self.network.semantic_stride)
+
+    @property
+    def crops(self) -> int:
+        """Crops in a batch of this process: one or two views of each frame."""
+        return (2 if self.data.augment.pair_shift else 1) * self.data.batch_size
+
+    @property
+    def depth_target(self) -> DepthTarget:
+        """Unit of the depth target, and the depth of the sky."""
+        config, sky_depth_m = self.network.config, self.recipe.data.sky_depth_m
+        sky = self.recipe.model.class_id("sky") if sky_depth_m else None
+        return DepthTarget(config.canonical_focal_px, sky, sky_depth_m, config.max_depth_m)
+
+    @property
+    def stop(self) -> Stop:
+        """When this process may leave by itself, see `Processes.own_stop`."""
+        return self.processes.own_stop(self.run.stop)
 
 
 def open_task(
@@ -101,40 +114,37 @@ def open_task(
     """
     stop = processes.own_stop(run.stop)
     _seed(recipe.data.seed)
-    sets = _open_sets(recipe, run.data, stop)
-    network, taught_by = _open_networks(recipe, sets, run, processes, resumed=resumed)
+    opened = partial(open_dataset, roots=run.data, classes=recipe.model.class_table, stop=stop)
+    sources = [opened(item) for item in recipe.data.source]
+    validation = {item.title: opened(item) for item in recipe.validation.source}
+    network, teacher = _open_networks(recipe, sources, run, processes, resumed=resumed)
     require_own_data(recipe, init=run.init, teacher=run.teacher)
-    known_data, data_terms = state_provenance(recipe, run.init, run.teacher)
-    watched = [Watched(source, stop) for source in sets.sources]
+    watched = [Watched(source, stop) for source in sources]
     found = survey(recipe.data.source, watched, recipe.model.class_names, network.config)
-    decided = replace(
-        recipe.data,
-        augment=with_crop(recipe.data.augment, found.smallest),
-        workers=min(recipe.data.workers, available_cores()),
-    )
     terms = recipe.loss.terms_for(network.heads)
     criterion = _build_loss(recipe, network, terms, found).to(processes.device)
-    optimizer = build_optimizer(recipe.optimizer, network, criterion)
-    targets = sorted({term.target for term in terms.values()} - {""})
-    warnings = [text for target, text in found.notes if target in targets]
-    _report(warnings, processes)  # they explain why nothing would learn
-    _require_batches(network, decided, processes)
-    _require_learning(recipe, network, terms, found.targets)
-    _report(_doubts_of_validation(recipe, sets, network, stop), processes)
     task = Task(
         recipe=recipe,
-        data=decided,
-        sources=sets.sources,
-        validation=sets.validation,
+        run=run,
+        processes=processes,
+        data=replace(
+            recipe.data,
+            augment=with_crop(recipe.data.augment, found.smallest),
+            workers=min(recipe.data.workers, available_cores()),
+        ),
+        sources=sources,
+        validation=validation,
         network=network,
         criterion=criterion,
-        optimizer=optimizer,
-        targets=targets,
-        depth_target=_depth_target(recipe, network),
-        known_data=known_data,
-        data_terms=data_terms,
-        teacher=taught_by,
+        optimizer=build_optimizer(recipe.optimizer, network, criterion),
+        targets=sorted({term.target for term in terms.values()} - {""}),
+        teacher=teacher,
     )
+    # The warnings explain why nothing would learn.
+    _report((text for target, text in found.notes if target in task.targets), processes)
+    _require_batches(task)
+    _require_learning(task, terms, found.targets)
+    _report(_doubts_of_validation(task), processes)
     _require_shift(task)
     return task
 
@@ -153,31 +163,16 @@ def _seed(seed: int) -> None:
     np.random.seed(seed)  # noqa: NPY002  (for libraries that draw from it)
 
 
-class _Sets(NamedTuple):
-    """The data sets of a recipe: those that it trains on, and those of its validation by title."""
-
-    sources: Sequence[SampleSource]
-    validation: Mapping[str, SampleSource]
-
-
-def _open_sets(recipe: Recipe, data: Sequence[Path], stop: Stop) -> _Sets:
-    opened = partial(open_dataset, roots=data, classes=recipe.model.class_table, stop=stop)
-    return _Sets(
-        [opened(item) for item in recipe.data.source],
-        {item.title: opened(item) for item in recipe.validation.source},
-    )
-
-
 def _open_networks(
     recipe: Recipe,
-    sets: _Sets,
+    sources: Sequence[SampleSource],
     run: TrainingRun,
     processes: Processes,
     *,
     resumed: bool,
 ) -> tuple[Network, Network | None]:
     """Build the network and its teacher on the device; InputError for a network's wrong output."""
-    pictures = spread_pictures(sets.sources)
+    pictures = spread_pictures(sources)
     with named_errors(f"the network {recipe.model.name!r}"):
         network = build_network(recipe.model, run.init, resumed=resumed, pictures=pictures)
     taught_by = prepare_teacher(run.teacher, recipe.loss, network)
@@ -208,28 +203,18 @@ def _build_loss(
     )
 
 
-def _depth_target(recipe: Recipe, network: Network) -> DepthTarget:
-    sky_depth_m = recipe.data.sky_depth_m
-    return DepthTarget(
-        network.config.canonical_focal_px,
-        recipe.model.class_id("sky") if sky_depth_m else None,
-        sky_depth_m,
-        max_depth_m=network.config.max_depth_m,
-    )
-
-
-def _doubts_of_validation(
-    recipe: Recipe, sets: _Sets, network: Network, stop: Stop
-) -> Iterator[str]:
+def _doubts_of_validation(task: Task) -> Iterator[str]:
     """Yield why scores of validation sets do not hold, or why there are none."""
-    for title, source in sets.validation.items():
-        if count := count_shared([source], sets.sources):
+    for title, source in task.validation.items():
+        if count := count_shared([source], task.sources):
             yield (
                 f"{count} of the {len(source)} frames of {title} are also trained on: its "
                 "scores do not hold for other frames"
             )
-    for title, source in sets.validation.items():
-        if not _gives_scores(recipe.validation, network, title, Watched(source, stop)):
+    for title, source in task.validation.items():
+        if not _gives_scores(
+            task.recipe.validation, task.network, title, Watched(source, task.stop)
+        ):
             yield f"{title} has no ground truth for a head: it gives no scores"
 
 
@@ -244,29 +229,26 @@ def _require_shift(task: Task) -> None:
         )
 
 
-def _require_batches(network: Network, data: DataRecipe, processes: Processes) -> None:
+def _require_batches(task: Task) -> None:
     """Raise InputError if batch normalisation would see a single value of each channel."""
-    views = 2 if data.augment.pair_shift else 1
-    count, (height, width) = views * data.batch_size * processes.count, data.augment.size
+    count, (height, width) = task.crops * task.processes.count, task.data.augment.size
     if count > 1:  # then it sees a value of each crop
         return
     batch = [torch.empty(count, channels, height, width, device="meta") for channels in (3, 1)]
     try:
         # A network that reads values, which these tensors lack, is not checked.
         with torch.no_grad(), contextlib.suppress(RuntimeError):
-            copy.deepcopy(network).to("meta")(*batch)
+            copy.deepcopy(task.network).to("meta")(*batch)
     except ValueError as error:
         raise InputError(
-            f"{network.config.name!r} cannot be trained on batches of {count} crops of "
+            f"{task.network.config.name!r} cannot be trained on batches of {count} crops of "
             f"{height}x{width} ({error}): raise data.batch_size or data.augment.crop"
         ) from error
 
 
-def _require_learning(
-    recipe: Recipe, network: Network, terms: Mapping[str, Term], labelled: Collection[str]
-) -> None:
+def _require_learning(task: Task, terms: Mapping[str, Term], labelled: Collection[str]) -> None:
     """Raise InputError if no term of the loss trains a part, or none has labels in any frame."""
-    name = network.config.name
+    recipe, network, name = task.recipe, task.network, task.network.config.name
     if not terms:
         raise InputError(
             f"no loss term with a weight above 0 applies to the heads of {name!r} "

@@ -12,7 +12,6 @@ from torch.utils.tensorboard import SummaryWriter
 from tqdm import tqdm
 
 from models import Network
-from training.base.processes import Processes
 from training.base.stop_signal import Stop, StopRequested
 from training.lidar.split import LidarInput
 from training.loading.open_dataset import Watched
@@ -84,7 +83,6 @@ def write_validation(
     *,
     known: Mapping[str, Sequence[Result]],
     curves: "Curves",
-    stop: Stop,
 ) -> None:
     """Write the page of networks on the validation sets, see `training.pages.page`.
 
@@ -94,11 +92,12 @@ def write_validation(
         path: path of the page.
         known: results of `validate` by name of the network; networks without are scored.
         curves: see `write_page`.
-        stop: True ends it without a page.
+
+    Once the run is stopped, it ends without a page.
     """
     from training.pages.page import write_page  # only where a page is made
 
-    sets, table = _open_sets(task, stop), task.recipe.model.class_table
+    sets, table = _open_sets(task, task.run.stop), task.recipe.model.class_table
     models = {name: open_network(network, table) for name, network in networks.items()}
     with suppress(StopRequested):
         results = [
@@ -129,30 +128,21 @@ def _feed(task: Task) -> Feed:
     return LidarInput.parse(task.recipe.validation.lidar), "none"
 
 
-def validate(
-    name: str,
-    network: Network,
-    task: Task,
-    processes: Processes,
-    board: Board,
-    step: int,
-    *,
-    stop: Stop,
-) -> list[Result]:
+def validate(name: str, network: Network, task: Task, board: Board, step: int) -> list[Result]:
     """Score the network, each process on its share of the frames; show scores and pictures.
 
-    Raises StopRequested once `stop` is True; several processes wait for one another, so that none
-    of them leaves early.
+    Raises StopRequested once the run is stopped; several processes wait for one another, so that
+    none of them leaves early.
 
     Returns:
         The result of each set, named `name`.
     """
-    sets = _open_sets(task, processes.own_stop(stop))
+    sets = _open_sets(task, task.stop)
     model = open_network(network, task.recipe.model.class_table)
     results = [
         result
         for data in sets
-        for result in score_set(name, model, data, [_feed(task)], processes=processes)
+        for result in score_set(name, model, data, [_feed(task)], processes=task.processes)
     ]
     scores = {result.row.data: result.row.figures for result in results}
     shown = {
@@ -162,7 +152,7 @@ def validate(
         if key in figures
     }
     board.add_scalars({f"validation/{name}": score for name, score in shown.items()}, step)
-    if not processes.is_first:
+    if not task.processes.is_first:
         return results
     words = {f"{name}/miou": scored_classes(figures) for name, figures in scores.items()}
     text = ", ".join(f"{key} {score:.4f}{words.get(key, '')}" for key, score in shown.items())
