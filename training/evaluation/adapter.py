@@ -4,7 +4,6 @@ The keys are the fields of `Adapter`. Keys that are left out are read from the O
 """
 
 import ast
-import json
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -28,7 +27,7 @@ from runtime.contract.resize import Size
 from runtime.engine.example_inputs import make_feeds
 from runtime.files.read_input import read_toml
 from training.base.limits import STRICT, Positive, Side
-from training.base.tables import build
+from training.base.tables import build, quoted
 from training.datasets.class_mapping import TableName, list_classes, named_table
 from training.scores.metrics import FARTHEST_M
 
@@ -218,21 +217,21 @@ def _describe(path: Path, session: Any) -> Iterator[str]:
     axis = channel_axis(rgb.shape)
     is_bytes = rgb.type == "tensor(uint8)"
     yield f"# How ssdnet-eval feeds and reads {shown(path.name)}. Check the lines that say so."
-    yield f"rgb = {_toml(rgb.name)}  # {_shape(rgb)}"
+    yield f"rgb = {quoted(rgb.name)}  # {_shape(rgb)}"
     note = "" if axis else "  # guessed: check"
-    yield f"layout = {_toml('NHWC' if axis == 3 else 'NCHW')}{note}"
+    yield f"layout = {quoted('NHWC' if axis == 3 else 'NCHW')}{note}"
     yield 'channels = "RGB"  # guessed: check; or "BGR"'
     if is_bytes:
         yield 'normalize = "none"  # the file takes bytes'
     else:
         guess = "0..1" if "imgsz" in facts or "names" in facts else "imagenet"
-        known = ", ".join(_toml(name) for name in NORMALIZATIONS)
-        yield f"normalize = {_toml(guess)}  # guessed: check; one of {known},"
+        known = ", ".join(quoted(name) for name in NORMALIZATIONS)
+        yield f"normalize = {quoted(guess)}  # guessed: check; one of {known},"
         yield "#   or { mean = [123.7, 116.3, 103.5], std = [58.4, 57.1, 57.4] } in 0..255"
     rows, columns = (rgb.shape[at] for at in ((1, 2) if axis == 3 else (2, 3)))
     if isinstance(rows, int) and isinstance(columns, int):
         fit = "pad" if "imgsz" in facts else "stretch"
-        yield f'fit = {_toml(fit)}  # to {rows} x {columns}; guessed: check; "stretch" or "pad"'
+        yield f'fit = {quoted(fit)}  # to {rows} x {columns}; guessed: check; "stretch" or "pad"'
     else:
         stride = facts.get("stride", "")
         stride = stride if stride.isdecimal() and 1 <= int(stride) <= MAX_STRIDE else "32"
@@ -240,7 +239,7 @@ def _describe(path: Path, session: Any) -> Iterator[str]:
         yield f"stride = {stride}  # sides are padded to a multiple; check"
     for item in session.get_inputs():
         if item.name != rgb.name:
-            yield f"sparse_depth = {_toml(item.name)}  # {_shape(item)}; guessed: check; in metres"
+            yield f"sparse_depth = {quoted(item.name)}  # {_shape(item)}; guessed: check; in metres"
     yield from _describe_outputs(path, session, rgb, facts)
 
 
@@ -262,7 +261,7 @@ def _describe_outputs(
             yield f"# an output that is not read: {shown(item.name)}  # {_shape(item)}"
             continue
         heads[kind] = item.name
-        yield f"{kind} = {_toml(item.name)}  # {_shape(item)}; guessed: check"
+        yield f"{kind} = {quoted(item.name)}  # {_shape(item)}; guessed: check"
         if kind == "depth":
             yield 'depth_is = "depth"  # guessed: check; or "inverse"'
             yield "depth_scale = 1.0  # units per metre, or per 1/m; guessed: check"
@@ -272,9 +271,9 @@ def _describe_outputs(
         tables = [name for name, table in CLASS_TABLES.items() if len(table) in counts]
         if known and not all(name.isdigit() for name in known):  # numbers are no names
             note = "" if len(known) in counts else f"  # {len(known)} names, not {planes[0]}: check"
-            yield f"classes = {json.dumps(known, ensure_ascii=False)}{note}"
+            yield f"classes = {quoted(known)}{note}"
         elif tables:
-            yield f"classes = {_toml(tables[0])}  # guessed by their number: check"
+            yield f"classes = {quoted(tables[0])}  # guessed by their number: check"
         else:
             tables = list(CLASS_TABLES)
             yield f"classes = []  # FILL IN: names in the order of ids, or one of {tables}"
@@ -319,7 +318,3 @@ def _probe(session: Any, rgb: Any) -> tuple[Size, list[NDArray[Any] | None]]:
 
 def _shape(item: Any) -> str:
     return f"{item.type.removeprefix('tensor(').rstrip(')')} {list(item.shape)}"
-
-
-def _toml(text: str) -> str:
-    return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")

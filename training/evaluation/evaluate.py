@@ -13,6 +13,7 @@ from training.datasets.source_recipe import SourceRecipe
 from training.evaluation.classical import METHODS
 from training.evaluation.open_model import open_method, open_predictions, open_scored_model
 from training.evaluation.options import EvaluationOptions
+from training.evaluation.own_frames import own_frames, united_classes
 from training.lidar.faults import LidarFault
 from training.lidar.split import LidarInput
 from training.loading.camera_faults import CameraFault
@@ -117,9 +118,10 @@ def score_models(options: EvaluationOptions) -> Evaluation:
 
     Raises OutputError if depth cannot be written, and the errors of `evaluate`.
     """
+    given, inputs = options.sets, options.inputs
     runs = _read_runs(options.models)
     first = next(iter(runs.values()), None)
-    sets = [*options.sets, *([options.frames.recipe(first)] if options.frames else [])]
+    sets = [*given, *own_frames(options, first)]
     # The run whose validation sets are scored.
     own = None if sets else first
     sets = sets if own is None else list(own.sets)
@@ -144,9 +146,9 @@ def score_models(options: EvaluationOptions) -> Evaluation:
             limit=options.limit,
             farthest_m=options.farthest_m or farthest_m,
         )
-        inputs = dict.fromkeys(options.inputs or [LidarInput.parse(lidar)])
-        feeds = [(each, fault) for each in inputs for fault in dict.fromkeys(options.faults)]
-        results = score_sets(models, opened, feeds, save=options.depth_folder)
+        used = dict.fromkeys(inputs or [LidarInput.parse(lidar)])
+        feeds = [(each, fault) for each in used for fault in dict.fromkeys(options.faults)]
+        results = score_sets(models, opened, feeds, save=options.save_to)
         worst = list(draw_worst(results, models, opened)) if options.page is not None else ()
         draft = _draft(options, sets, first, results, models)
         return Evaluation(results, compare(results), worst, draft)
@@ -166,7 +168,7 @@ def _draft(
     trained = run.recipe.model if run else None
     own = trained.classes if trained and not isinstance(trained.classes, str) else ()
     united: dict[str, Sequence[str]] = {info.name: info.of for info in own if info.of}
-    united |= options.frames.united if options.frames else {}
+    united |= united_classes(options)
     groups: dict[str, Sequence[str]] = {}
     for recipe in sets:
         tables = [model.table for model in models.values() if model.table]

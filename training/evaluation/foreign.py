@@ -60,12 +60,21 @@ class ForeignNetwork:
 
     def __post_init__(self) -> None:
         """Check the names, the inputs, and that every key and --size can be used."""
-        wanted = {"rgb": self.adapter.rgb, "sparse_depth": self.adapter.sparse_depth}
-        self._require(wanted, [item.name for item in self.session.get_inputs()], "inputs")
-        wanted = {"semantic": self.adapter.semantic, "depth": self.adapter.depth}
-        self._require(wanted, [item.name for item in self.session.get_outputs()], "outputs")
+        inputs, outputs = self.session.get_inputs(), self.session.get_outputs()
+        for key, what, items in (
+            ("rgb", "inputs", inputs),
+            ("sparse_depth", "inputs", inputs),
+            ("semantic", "outputs", outputs),
+            ("depth", "outputs", outputs),
+        ):
+            name, there = getattr(self.adapter, key), [item.name for item in items]
+            if name is not None and name not in there:
+                raise InputError(
+                    f"{self.path}: has no {name!r}, which its adapter names as {key}; its {what} "
+                    f"are {', '.join(there)}"
+                )
         fed = {self._rgb.name, self.adapter.sparse_depth}
-        if left := [item.name for item in self.session.get_inputs() if item.name not in fed]:
+        if left := [item.name for item in inputs if item.name not in fed]:
             raise InputError(
                 f"{self.path}: its input {left[0]!r} is fed by no key of the adapter: name it as "
                 "rgb or sparse_depth"
@@ -92,16 +101,15 @@ class ForeignNetwork:
                 f"{self.path}: {key} = {getattr(adapter, key)!r} cannot be used, as its input "
                 f"{rgb.name!r} is {rgb.type} {list(rgb.shape)}: leave it out of the adapter"
             )
-        for item in self.session.get_inputs():
-            if item.name == adapter.sparse_depth and (
-                item.type not in _DEPTH_TYPES
-                or len(item.shape) not in (3, 4)
-                or (len(item.shape) == 4 and 1 not in item.shape[1:])
-            ):
-                raise InputError(
-                    f"{self.path}: its input {item.name!r} is {item.type} {list(item.shape)}; "
-                    "expected a map of LiDAR depth, of floats: export it so"
-                )
+        if (item := self._lidar) is not None and (
+            item.type not in _DEPTH_TYPES
+            or len(item.shape) not in (3, 4)
+            or (len(item.shape) == 4 and 1 not in item.shape[1:])
+        ):
+            raise InputError(
+                f"{self.path}: its input {item.name!r} is {item.type} {list(item.shape)}; "
+                "expected a map of LiDAR depth, of floats: export it so"
+            )
 
     @property
     def table(self) -> ClassTable:
@@ -115,9 +123,10 @@ class ForeignNetwork:
         focal_length_px: float | None,
     ) -> HeadMaps:
         """Answer a frame, see `Predict`."""
+        adapter, lidar = self.adapter, self._lidar
         frame = preprocess(
             rgb,
-            None if self.adapter.sparse_depth is None else sparse_depth,
+            None if lidar is None else sparse_depth,
             size_for=self._size_for,
             scale_for=lambda size: self._scale_for(size, focal_length_px),
         )
@@ -125,9 +134,9 @@ class ForeignNetwork:
         frame = replace(frame, full_size_returns=None)
         canvas, corner = self._canvas(frame.network_size)
         feeds = {self._rgb.name: self._image(frame, canvas, corner)}
-        if self.adapter.sparse_depth is not None:
-            feeds[self.adapter.sparse_depth] = self._returns(frame, canvas, corner)
-        heads = [name for name in (self.adapter.semantic, self.adapter.depth) if name is not None]
+        if lidar is not None:
+            feeds[lidar.name] = self._returns(frame, canvas, corner)
+        heads = [name for name in (adapter.semantic, adapter.depth) if name is not None]
         try:
             outputs = dict(zip(heads, self.session.run(heads, feeds), strict=True))
         except Exception as error:
@@ -144,25 +153,32 @@ class ForeignNetwork:
         rows = slice(corner[0], corner[0] + frame.network_size[0])
         columns = slice(corner[1], corner[1] + frame.network_size[1])
         found: dict[str, NDArray[Any]] = {}
-        ids = None
-        if self.adapter.semantic is not None:
-            values = outputs[self.adapter.semantic]
-            if self._is_scores(values) and self.adapter.class_stride is None:
-                scores = self._scores(values, canvas)
-                planes = [_enlarge(plane, canvas)[rows, columns] for plane in scores]
-                ids = _decide([_enlarge(plane, frame.frame_size) for plane in planes])
+        scores: list[NDArray[np.float32]] = []
+        if adapter.semantic is not None:
+            values = outputs[adapter.semantic]
+            if self._is_scores(values) and adapter.class_stride is None:
+                scores = [
+                    _enlarge(_enlarge(plane, canvas)[rows, columns], frame.frame_size)
+                    for plane in self._scores(values, canvas)
+                ]
             else:
                 found["semantic"] = np.ascontiguousarray(self._ids(values, canvas)[rows, columns])
-        if self.adapter.depth is not None:
-            raw = self._plane(outputs[self.adapter.depth], self.adapter.depth, canvas)
+        if adapter.depth is not None:
+            raw = self._plane(outputs[adapter.depth], adapter.depth, canvas)
             raw = _enlarge(raw, canvas)[rows, columns]
             found["depth"] = self._metres(np.ascontiguousarray(raw))
         answer = HeadMaps(**at_frame_size(found, frame))
-        return answer if ids is None else answer.with_semantic(ids)
+        return answer.with_semantic(_decide(scores)) if scores else answer
 
     @property
     def _rgb(self) -> Any:
         return find_rgb(self.path, self.session, self.adapter.rgb)
+
+    @property
+    def _lidar(self) -> Any:
+        """The input of the LiDAR depth; None if there is none."""
+        inputs = self.session.get_inputs()
+        return next((item for item in inputs if item.name == self.adapter.sparse_depth), None)
 
     @property
     def _takes_bytes(self) -> bool:
@@ -209,21 +225,18 @@ class ForeignNetwork:
         return self._fixed, (rows // 2, columns // 2)
 
     def _image(self, frame: NetworkInput, canvas: Size, corner: Size) -> NDArray[Any]:
-        rgb = _pad(frame.rgb, canvas, corner, _PADDED)
-        values = rgb[..., ::-1] if self.adapter.channels == "BGR" else rgb
+        values: NDArray[Any] = _pad(frame.rgb, canvas, corner, _PADDED)
         if self.adapter.normalize != "none" and not self._takes_bytes:
             mean, std = (np.array(item, np.float32) for item in self.adapter.color_scale)
-            if self.adapter.channels == "BGR":
-                mean, std = mean[::-1], std[::-1]
             values = (values - mean) / std
+        values = values[..., ::-1] if self.adapter.channels == "BGR" else values
         values = values if self._is_last else values.transpose(2, 0, 1)
         return np.ascontiguousarray(values[np.newaxis].astype(IMAGE_TYPES[self._rgb.type]))
 
     def _returns(self, frame: NetworkInput, canvas: Size, corner: Size) -> NDArray[Any]:
-        (fed,) = (i for i in self.session.get_inputs() if i.name == self.adapter.sparse_depth)
         depth = _pad(frame.sparse_depth, canvas, corner, 0) * self.adapter.sparse_depth_scale
-        axis = (0,) if len(fed.shape) == 3 else (0, 3 if self._is_last else 1)
-        return np.expand_dims(depth, axis).astype(_DEPTH_TYPES[fed.type])
+        axis = (0,) if len(self._lidar.shape) == 3 else (0, 3 if self._is_last else 1)
+        return np.expand_dims(depth, axis).astype(_DEPTH_TYPES[self._lidar.type])
 
     def _is_scores(self, values: NDArray[Any]) -> bool:
         if self.adapter.semantic_is is not None:
@@ -292,14 +305,6 @@ class ForeignNetwork:
             raise SSDNetError(f"{self.path}: its output {name!r} is not finite")
         return values
 
-    def _require(self, wanted: dict[str, str | None], there: Sequence[str], what: str) -> None:
-        for key, name in wanted.items():
-            if name is not None and name not in there:
-                raise InputError(
-                    f"{self.path}: has no {name!r}, which its adapter names as {key}; its {what} "
-                    f"are {', '.join(there)}"
-                )
-
 
 def open_foreign(
     path: Path,
@@ -352,12 +357,11 @@ def open_foreign(
 
 def _pad(values: NDArray[Any], canvas: Size, corner: Size, value: int) -> NDArray[Any]:
     """Place a map in a larger one with a constant value."""
-    height, width = values.shape[:2]
-    if (height, width) == canvas:
-        return values
-    padded = np.full((*canvas, *values.shape[2:]), value, values.dtype)
-    padded[corner[0] : corner[0] + height, corner[1] : corner[1] + width] = values
-    return padded
+    (top, left), (height, width) = corner, values.shape[:2]
+    sides = top, canvas[0] - height - top, left, canvas[1] - width - left
+    return np.asarray(
+        cv2.copyMakeBorder(values, *sides, cv2.BORDER_CONSTANT, value=(value, value, value))
+    )
 
 
 def _enlarge(plane: NDArray[np.float32], size: Size) -> NDArray[np.float32]:

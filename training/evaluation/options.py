@@ -3,9 +3,9 @@
 # ruff: noqa: RUF009 - what is called in `EvaluationOptions` returns a field
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Union, get_args
+from typing import TYPE_CHECKING, Union, get_args
 
 import typer
 
@@ -19,7 +19,6 @@ from training.base.palette import PALETTE_HELP, Palette
 
 if TYPE_CHECKING:  # heavy, and --help is to be quick
     from training.datasets.source_recipe import SourceRecipe
-    from training.evaluation.own_frames import OwnFrames
     from training.lidar.split import LidarInput
     from training.scores.depth_folder import DepthFolder
 
@@ -49,10 +48,6 @@ class EvaluationOptions:
     Attributes:
         overwrite: whether the files of `page` and `json`, and depth of the same names, are
             replaced.
-        frames: the folders of a user's frames, which are scored after the sets in `data`.
-        sets: the recipes of the data sets in `data`.
-        inputs: the LiDAR inputs in `lidars`.
-        depth_folder: the folder in `save`.
 
     Raises:
         InputError: if an option is invalid by itself.
@@ -163,10 +158,6 @@ class EvaluationOptions:
         "--overwrite",
         default=False,
     )
-    frames: "OwnFrames | None" = field(init=False)
-    sets: Sequence["SourceRecipe"] = field(init=False)
-    inputs: Sequence["LidarInput"] = field(init=False)
-    depth_folder: "DepthFolder | None" = field(init=False)
 
     def __post_init__(self) -> None:
         """Check each option by itself."""
@@ -174,12 +165,8 @@ class EvaluationOptions:
             raise UsageError("name a model, the folder of a run, a method or --predictions DIR")
         # Heavy imports are here, so that --help answers at once.
         from training.base.processes import parse_device
-        from training.datasets.registry import parse_data
-        from training.evaluation.own_frames import OwnFrames
         from training.lidar.faults import LidarFault
-        from training.lidar.split import LidarInput
         from training.loading.camera_faults import CAMERA_FAULTS
-        from training.scores.depth_folder import DepthFolder
 
         parse_device(self.device)  # also for methods, which have no device
         known = *get_args(LidarFault), *CAMERA_FAULTS
@@ -190,19 +177,37 @@ class EvaluationOptions:
             raise InputError(
                 "--labels, --classes, --palette and --depth belong to --images: give it"
             )
-        facts: dict[str, Any] = {
-            "frames": self.images and OwnFrames(self.images, *of_frames),
-            "sets": [parse_data(each) if isinstance(each, str) else each for each in self.data],
-            "inputs": [
-                LidarInput.parse(each) if isinstance(each, str) else each
-                for each in self.lidars or ()
-            ],
-            "depth_folder": self.save and DepthFolder(self.save, self.overwrite),
-        }
-        for name, value in facts.items():
-            object.__setattr__(self, name, value)
+        for option, value, needed, given in (
+            ("--classes", self.classes, "--labels", self.labels),
+            ("--palette", self.palette, "--classes", self.classes),
+            ("--depth-scale", self.depth_scale, "--depth", self.depth),
+        ):
+            if value is not None and given is None:
+                raise InputError(f"{option} belongs to {needed}: give both, or neither")
         require_json(self.json, overwrite=self.overwrite)
         if self.page is not None:
             require_writable(self.page, overwrite=self.overwrite)
-        if self.depth_folder is not None:
-            self.depth_folder.require_free()
+        if self.save_to is not None:
+            self.save_to.require_free()
+
+    @property
+    def sets(self) -> "list[SourceRecipe]":
+        """The recipes of the data sets in `data`."""
+        from training.datasets.registry import parse_data
+
+        return [parse_data(each) if isinstance(each, str) else each for each in self.data]
+
+    @property
+    def inputs(self) -> "list[LidarInput]":
+        """The LiDAR inputs in `lidars`."""
+        from training.lidar.split import LidarInput
+
+        given = self.lidars or ()
+        return [LidarInput.parse(each) if isinstance(each, str) else each for each in given]
+
+    @property
+    def save_to(self) -> "DepthFolder | None":
+        """The folder in `save`."""
+        from training.scores.depth_folder import DepthFolder
+
+        return None if self.save is None else DepthFolder(self.save, self.overwrite)

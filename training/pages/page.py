@@ -31,10 +31,16 @@ _BARS = (
     ("Error of the depth by distance", "distance", [f"mae_m_{a:g}_{b:g}" for a, b in RANGES_M[2:]]),
     ("Error by distance to the returns", "place", [f"mae_m_{name}" for name in RETURN_DISTANCES]),
 )
-_MARKS = (
-    ("semantic", "Colours of the last picture: red = wrong here, blue = in the other, "),
-    ("depth", f"Wrong by over {WRONG_SHARE:.0%} of the depth: red = here, blue = in the other, "),
-)
+# For each head: its answers, and what the colours of the last picture mean.
+_MARKS = {
+    "semantic": ("classes", "Colours of the last picture: red = wrong here, blue = in the other, "),
+    "depth": (
+        "depth",
+        f"Wrong by over {WRONG_SHARE:.0%} of the depth: red = here, blue = in the other, ",
+    ),
+}
+# The colours of verdicts.
+_JUDGED = {"better": "good", "worse": "bad"}
 
 
 def write_page(
@@ -82,10 +88,8 @@ def write_page(
 
 def _judged(verdict: str, against: str) -> tuple[str, str]:
     """Return a verdict in words, and the name of its colour."""
-    colors = {"better": "good", "worse": "bad"}
-    return (
-        (f"{verdict} than {against}", colors[verdict]) if verdict in colors else (verdict, "soft")
-    )
+    text = f"{verdict} than {against}" if verdict in _JUDGED else verdict
+    return text, _JUDGED.get(verdict, "soft")
 
 
 def _groups(results: Sequence[Result], curves: Curves) -> Iterator[dict[str, Any]]:
@@ -150,35 +154,23 @@ def _confusions(found: Sequence[Result]) -> Iterator[tuple[str, Sequence[str], l
 
 def _reliability(found: Sequence[Result]) -> Iterator[tuple[str, str, dict[str, Any]]]:
     for item in found:
-        points = item.scores.uncertainty.reliability()
+        points = [
+            (scale, error, f"uncertainty {scale:.3g} m, error {error:.3g} m")
+            for scale, error in item.scores.uncertainty.reliability()
+        ]
         if not points:
             continue
-        values = [value for point in points for value in point if value > 0]
-        low = math.floor(math.log10(min(values)))
-        high = max(math.ceil(math.log10(max(values))), low + 1)
-
-        def place(value: float, low: int = low, high: int = high) -> float:
-            return 100 * (math.log10(max(value, 10.0**low)) - low) / (high - low)
-
-        ticks = [10.0**power for power in range(low, high + 1)]
-        spots = [(place(scale), 100 - place(error)) for scale, error in points]
-        chart = {
-            **_axes(
-                [(100 - place(tick), tick) for tick in ticks],
-                [(place(tick), tick) for tick in ticks],
-            ),
-            "lines": [" ".join(f"{x:.2f},{y:.2f}" for x, y in spots)],
-            "dashed": ["0,100 100,0"],
-            "points": [
-                ("point", x, y, f"uncertainty {scale:.3g} m, error {error:.3g} m")
-                for (x, y), (scale, error) in zip(spots, points, strict=True)
-            ],
-            "quantity": "error [m]",
-            "axis": "depth_uncertainty [m]",
-            "label": f"error of {item.row.model}",
-            "note": "Mean error of tenths of the pixels by their uncertainty. On the dashed line "
+        axis = _logarithmic([value for *both, _ in points for value in both if value > 0])
+        chart = _scatter(
+            points,
+            "error [m]",
+            axis="depth_uncertainty [m]",
+            note="Mean error of tenths of the pixels by their uncertainty. On the dashed line "
             "the uncertainty is right; above it, it is too small.",
-        }
+            axes=(axis, axis),
+        )
+        chart |= {"lines": [_line(chart)], "dashed": ["0,100 100,0"]}
+        chart["label"] = f"error of {item.row.model}"
         yield f"Reliability of depth_uncertainty, {item.row.model}", "", chart
 
 
@@ -195,9 +187,8 @@ def _latency(found: Sequence[Result]) -> Iterator[tuple[str, str, dict[str, Any]
         ]
         if len(spots) < 2:
             continue
-        points = [(ms, value, f"{name}: {ms:.1f} ms, {value:.1f}") for ms, value, name in spots]
         chart = _scatter(
-            points,
+            [(ms, value, f"{name}: {ms:.1f} ms, {value:.1f}") for ms, value, name in spots],
             title,
             axis="median time of an answer [ms]",
             note="Times of this evaluation, which may share the machine with others; ssdnet-bench "
@@ -219,22 +210,33 @@ def _curves(found: Sequence[Result], curves: Curves) -> Iterator[tuple[str, str,
         points = [(step, factor * v, f"step {step}: {factor * v:.2f}") for step, v in values]
         note = "Every validation of the training; step 0 is that of the initial weights."
         chart = _scatter(points, title, axis="step", note=note)
-        chart["lines"] = [" ".join(f"{x:.2f},{y:.2f}" for _, x, y, _ in chart["points"])]
+        chart["lines"] = [_line(chart)]
         yield f"{title} during the training", "", chart
 
 
+# The place in percent of a value on an axis, and the values of its ticks.
+_Axis = tuple[Callable[[float], float], Sequence[float]]
+
+
 def _scatter(
-    points: Sequence[tuple[float, float, str]], quantity: str, *, axis: str, note: str
+    points: Sequence[tuple[float, float, str]],
+    quantity: str,
+    *,
+    axis: str,
+    note: str,
+    axes: tuple[_Axis, _Axis] | None = None,
 ) -> dict[str, Any]:
-    """Return the values of chart.html for points, each with its words, on axes from 0."""
-    x, last = _linear(max(along for along, _, _ in points))
-    y, top = _linear(max(up for _, up, _ in points))
+    """Return the values of chart.html for points, each with its words; None: on axes from 0."""
+    across, up, _ = zip(*points, strict=True)
+    (x, columns), (y, rows) = axes or (_linear(max(across)), _linear(max(up)))
     return {
-        **_axes(
-            [(100 - y(tick), tick) for tick in _ticks(top)],
-            [(x(tick), tick) for tick in _ticks(last)],
-        ),
-        "points": [("point", x(along), 100 - y(up), text) for along, up, text in points],
+        "ticks": [(100 - y(tick), tick) for tick in rows],
+        "along": [(x(tick), tick) for tick in columns],
+        "unit": "",
+        "lines": [],
+        "deadline": [],
+        "unanswered": [],
+        "points": [("point", x(one), 100 - y(other), text) for one, other, text in points],
         "quantity": quantity,
         "axis": axis,
         "label": quantity,
@@ -242,47 +244,46 @@ def _scatter(
     }
 
 
-def _axes(
-    rows: Sequence[tuple[float, float]], columns: Sequence[tuple[float, float]]
-) -> dict[str, Any]:
-    """Return the values of chart.html for an empty chart with these ticks."""
-    return {
-        "ticks": rows,
-        "along": columns,
-        "unit": "",
-        "lines": [],
-        "deadline": [],
-        "unanswered": [],
-        "points": [],
-    }
+def _line(chart: Mapping[str, Any]) -> str:
+    """Return the line through the points of a chart."""
+    return " ".join(f"{x:.2f},{y:.2f}" for _, x, y, _ in chart["points"])
 
 
-def _linear(most: float) -> tuple[Callable[[float], float], float]:
-    """Return the place in percent of a value on an axis from 0, and the end of the axis."""
+def _linear(most: float) -> _Axis:
+    """Return an axis from 0 to a round number of at least `most`."""
     power = 10.0 ** math.floor(math.log10(most or 1))
     end = next(step * power for step in (1, 2, 2.5, 5, 10) if step * power >= most)
-    return lambda value: 100 * value / end, end
+    return lambda value: 100 * value / end, [end * tick / _TICKS for tick in range(_TICKS + 1)]
 
 
-def _ticks(end: float) -> list[float]:
-    return [end * tick / _TICKS for tick in range(_TICKS + 1)]
+def _logarithmic(values: Sequence[float]) -> _Axis:
+    """Return an axis between powers of ten that hold the values, with these as ticks."""
+    low = math.floor(math.log10(min(values)))
+    high = max(math.ceil(math.log10(max(values))), low + 1)
+
+    def place(value: float) -> float:
+        return 100 * (math.log10(max(value, 10.0**low)) - low) / (high - low)
+
+    return place, [10.0**power for power in range(low, high + 1)]
 
 
 def _worst(frames: Sequence[WorstFrame]) -> Iterator[tuple[str, list[Any], list[dict[str, Any]]]]:
     """Yield heading, legend and frames for each model, set and head."""
-    marks = dict(_MARKS)
     for (key, head), group in itertools.groupby(frames, lambda frame: (frame.row.key, frame.head)):
         found = list(group)
         model, data, lidar, _ = key
-        what = "classes" if head == "semantic" else "depth"
+        what, marks = _MARKS[head]
         yield (
             f"Worst {what} of {model} on {data}, LiDAR {lidar}",
-            [*found[0].legend, (f"{marks[head]}white = in both", (235, 235, 235))],
+            [*found[0].legend, (f"{marks}white = in both", (235, 235, 235))],
             [
                 {
                     "name": frame.name,
                     "words": _words(frame),
-                    "panels": [(title, _jpeg(picture)) for title, picture in frame.panels.items()],
+                    "panels": [
+                        (title, f"data:image/jpeg;base64,{base64.b64encode(picture).decode()}")
+                        for title, picture in frame.panels.items()
+                    ],
                 }
                 for frame in found
             ],
@@ -290,13 +291,11 @@ def _worst(frames: Sequence[WorstFrame]) -> Iterator[tuple[str, list[Any], list[
 
 
 def _words(frame: WorstFrame) -> str:
-    def show(error: float) -> str:
-        return f"{100 * error:.1f} %" if frame.head == "semantic" else f"{1000 * error:.0f} mm"
-
-    what = "wrong pixels" if frame.head == "semantic" else "MAE"
-    text = f"{what} {show(frame.error)}"
-    return text if frame.other_error is None else f"{text}, {frame.other} {show(frame.other_error)}"
-
-
-def _jpeg(content: bytes) -> str:
-    return f"data:image/jpeg;base64,{base64.b64encode(content).decode()}"
+    is_share = frame.head == "semantic"
+    shown = [
+        f"{100 * error:.1f} %" if is_share else f"{1000 * error:.0f} mm"
+        for error in (frame.error, frame.other_error)
+        if error is not None
+    ]
+    text = f"{'wrong pixels' if is_share else 'MAE'} {shown[0]}"
+    return text if len(shown) < 2 else f"{text}, {frame.other} {shown[1]}"
