@@ -108,8 +108,8 @@ def open_predictions(text: str) -> tuple[Path, ScoredModel]:
 def method_predict(method: CompletionMethod) -> Predict:
     """Return a classical method as a predictor.
 
-    Negative, not finite and farther values than `FARTHEST_M` are no measurement. A depth of 0, no
-    answer, is scored as a depth.
+    Negative, not finite and farther values than `FARTHEST_M` are no measurement; without any, all
+    depths are 0. A depth of 0, no answer, is scored as a depth.
     """
 
     def predict(
@@ -117,7 +117,7 @@ def method_predict(method: CompletionMethod) -> Predict:
     ) -> HeadMaps:
         near = np.where(sparse_depth > FARTHEST_M, np.float32(0), sparse_depth)
         cleaned, _, _ = clean_sparse_depth(near, max_depth_m=FARTHEST_M)
-        depth = method.complete(rgb, cleaned)
+        depth = method.complete(rgb, cleaned) if cleaned.any() else np.zeros_like(cleaned)
         if not np.isfinite(depth).all():
             raise SSDNetError(f"{type(method).__name__} answered with depths that are not finite")
         return HeadMaps(depth=depth)

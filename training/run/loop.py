@@ -105,7 +105,7 @@ class _Loop:
         self._task, self.state = task, TrainingState(task)
         self.steps = task.recipe.schedule.steps
         self._resolved = resolved
-        self._scores: ScoreTable | None = None  # of the first process, which alone writes it
+        self._scores: ScoreTable  # written by the first process alone
         # Of the last validation ("after"), and of that before the first step.
         self._results: dict[str, Sequence[Result]] = {}
 
@@ -126,7 +126,7 @@ class _Loop:
     def advance(self) -> None:
         """Take the steps that are left, with their checkpoints and validations."""
         first, is_first = self.state.step, self._processes.is_first
-        self._scores = ScoreTable(self._run.out / SCORES, first) if is_first else None
+        self._scores = ScoreTable(self._run.out / SCORES, first)
         with (
             Board(self._run.out / TENSORBOARD if is_first else None, first) as board,
             tqdm(
@@ -146,7 +146,7 @@ class _Loop:
         """Write model.pt, the change of the scores, and the page of the validation."""
         network = self._released()
         save_checkpoint(self._run.out / FINAL, network, training=self._facts())
-        for line in self._scores.compare() if self._scores else ():
+        for line in self._scores.compare():
             self.tell(line)
         if not self._task.validation:
             return
@@ -156,24 +156,17 @@ class _Loop:
             networks = {"before": before, **networks}
             if before.config != network.config:
                 self._results.pop("before", None)  # it was another network's
-        write_validation(
-            networks,
-            self._task,
-            self._run.out / PAGE,
-            known=self._results,
-            curves=self._scores.curves if self._scores else {},
-        )
+        path, curves = self._run.out / PAGE, self._scores.curves
+        write_validation(networks, self._task, path, known=self._results, curves=curves)
 
     def _score_start(self, board: Board) -> None:
         """Score the initial weights, or make up for a validation that was interrupted."""
         if not self.state.step:
             if self._task.validation and self._run.init is not None:
                 self._score("before", self.state.averaged, board)
-        elif self._is_due:
+        elif self._is_due and self.state.step not in self._scores:
             # A run that was stopped or killed in a validation begins with it.
-            known = self._scores is not None and self.state.step in self._scores
-            if not any(self._processes.gather(known)):
-                self._score("after", self._released(), board)
+            self._score("after", self._released(), board)
 
     def _take_steps(self, batches: Iterator[Batch], board: Board, bar: tqdm) -> None:
         recipe, state, limit = self._recipe, self.state, self._run.stop_after
@@ -205,7 +198,8 @@ class _Loop:
         step = self.state.step
         self._results[name] = validate(name, network, self._task, board, step)
         figures = {result.row.data: result.row.figures for result in self._results[name]}
-        if self._scores and self._scores.add(step, figures, self._recipe.validation.best):
+        best = self._recipe.validation.best
+        if self._processes.is_first and self._scores.add(step, figures, best):
             save_checkpoint(self._run.out / BEST, network, training=self._facts())
 
     def _released(self) -> Network:

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from training.evaluation.classical.method import Depth, is_measured
+from training.evaluation.classical.method import Depth
 from training.evaluation.classical.nearest import Nearest
 
 # Number of returns that span a triangle.
@@ -25,7 +25,7 @@ class Linear:
         from scipy.interpolate import LinearNDInterpolator
 
         depth = Nearest().complete(rgb, sparse_depth)
-        at = np.argwhere(is_measured(sparse_depth))
+        at = np.argwhere(sparse_depth > 0)
         if len(at) < _FEWEST or np.linalg.matrix_rank(at - at[0]) < 2:
             return depth
         inverse = 1.0 / sparse_depth[at[:, 0], at[:, 1]].astype(np.float64)

@@ -16,19 +16,9 @@ class CompletionMethod(Protocol):
 
         Args:
             rgb: uint8 (H, W, 3), red first; not every method uses it.
-            sparse_depth: float32 (H, W), metres; 0, negative and not finite values are no
-                measurement.
+            sparse_depth: float32 (H, W), metres up to 100, 0 = no measurement; there is at least
+                one.
 
         Returns:
-            float32 (H, W), metres; 0 where the method gives no depth, which is everywhere if there
-            is no measurement.
+            float32 (H, W), metres; 0 where the method gives no depth.
         """
-
-
-def is_measured(sparse_depth: Depth) -> NDArray[np.bool_]:
-    """Return where `sparse_depth` holds a measurement, bool (H, W).
-
-    There is no upper limit here, because `ssdnet-eval` drops returns beyond 100 m, the range in
-    which classical methods are scored, before it calls a method.
-    """
-    return np.asarray((sparse_depth > 0) & np.isfinite(sparse_depth))

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from training.evaluation.classical.method import Depth, is_measured
+from training.evaluation.classical.method import Depth
 
 # Least weight of neighbours; with exp() of very different colours a region would be isolated.
 _LEAST_WEIGHT = 1e-4
@@ -41,9 +41,7 @@ class MRF:
         from scipy import sparse
         from scipy.sparse import linalg
 
-        measured = is_measured(sparse_depth)
-        if not measured.any():
-            return np.zeros(sparse_depth.shape, dtype=np.float32)
+        measured = sparse_depth > 0
         count = sparse_depth.size
         first, second, weight = neighbours(rgb, self.edge_sharpness)
         coupling = sparse.coo_array((weight, (first, second)), shape=(count, count))

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from training.evaluation.classical.method import Depth, is_measured
+from training.evaluation.classical.method import Depth
 
 _MASK_SIZE = 5
 
@@ -22,9 +22,7 @@ class Nearest:
 
     def complete(self, rgb: NDArray[np.uint8], sparse_depth: Depth) -> Depth:
         """See `CompletionMethod.complete`."""
-        measured = is_measured(sparse_depth)
-        if not measured.any():
-            return np.zeros(sparse_depth.shape, dtype=np.float32)
+        measured = sparse_depth > 0
         _, labels = cv2.distanceTransformWithLabels(
             (~measured).astype(np.uint8), cv2.DIST_L2, _MASK_SIZE, labelType=cv2.DIST_LABEL_PIXEL
         )

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from training.evaluation.classical.method import Depth, is_measured
+from training.evaluation.classical.method import Depth
 
 
 @dataclass(frozen=True)
@@ -25,9 +25,7 @@ class Planes:
         from models.planes import BASE_CELL, CELL, LEVELS, fit_base
         from models.pooling import cell_maxima
 
-        measured = is_measured(sparse_depth)
-        if not measured.any():
-            return np.zeros(sparse_depth.shape, dtype=np.float32)
+        measured = sparse_depth > 0
         known = np.where(measured, sparse_depth, np.float32(np.inf))
         farthest = sparse_depth[measured].max()  # the unit; inverse depths are at least 1
         inverse = torch.from_numpy(farthest / known)[None, None]

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from runtime.contract.resize import move_returns, resize_image
-from training.evaluation.classical.method import Depth, is_measured
+from training.evaluation.classical.method import Depth
 from training.evaluation.classical.nearest import Nearest
 
 _COARSEST_SIDE = 24  # of the pyramid on which the iterations start
@@ -55,20 +55,12 @@ class TGV:
 
     def complete(self, rgb: NDArray[np.uint8], sparse_depth: Depth) -> Depth:
         """See `CompletionMethod.complete`."""
-        measured = is_measured(sparse_depth)
-        if not measured.any():
-            return np.zeros(sparse_depth.shape, dtype=np.float32)
-        return self._from_coarse_to_fine(rgb, np.where(measured, sparse_depth, np.float32(0)))
-
-    def _from_coarse_to_fine(self, rgb: NDArray[np.uint8], sparse_depth: Depth) -> Depth:
         height, width = sparse_depth.shape
         half = -(-height // 2), -(-width // 2)
         if min(half) < _COARSEST_SIDE:
             start = Nearest().complete(rgb, sparse_depth)
         else:
-            coarse = self._from_coarse_to_fine(
-                resize_image(rgb, half), move_returns(sparse_depth, half)
-            )
+            coarse = self.complete(resize_image(rgb, half), move_returns(sparse_depth, half))
             start = np.asarray(cv2.resize(coarse, (width, height)), dtype=np.float32)
         return self._minimise(start, edge_tensor(rgb, self), sparse_depth)
 
