@@ -3,16 +3,17 @@
 import colorsys
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from runtime.contract.contract import NO_CLASS, ClassInfo
+from runtime.contract.resize import Size
 from runtime.drawing.encode import encode_jpeg
 from runtime.drawing.overlay import Overlay
 from training.datasets.class_mapping import list_classes
-from training.datasets.sample import Sample
 from training.scores.evaluated_set import EvaluatedSet
 from training.scores.score_report import Row
 from training.scores.score_set import Result
@@ -27,12 +28,8 @@ WORST = 10
 WRONG_SHARE = 0.1
 _GOLDEN = 0.618  # of a turn of the hue, between two classes without a colour
 # BGR colours of right pixels, and of those that the model, the other and both have wrong.
-_RIGHT, _WRONG, _OTHER_WRONG, _BOTH_WRONG = (
-    (90, 90, 90),
-    (60, 60, 235),
-    (235, 150, 40),
-    (235, 235, 235),
-)
+_RIGHT, _WRONG = (90, 90, 90), (60, 60, 235)
+_OTHER_WRONG, _BOTH_WRONG = (235, 150, 40), (235, 235, 235)
 
 
 @dataclass(frozen=True)
@@ -90,73 +87,68 @@ def _draw(
     data: EvaluatedSet,
     head: str,
 ) -> Iterator[WorstFrame]:
-    errors = [
-        {frame.index: error for frame in item.frames if (error := frame.error(head)) is not None}
+    errors = {
+        item.row.model: {
+            frame.index: error for frame in item.frames if (error := frame.error(head)) is not None
+        }
         for item in pair
-    ]
-    drawn = [item for item, found in zip(pair, errors, strict=True) if found]
-    if pair[0] not in drawn:
+    }
+    row, drawn = pair[0].row, [name for name, found in errors.items() if found]
+    if row.model not in drawn:
         return
+    other = drawn[1] if len(drawn) > 1 else ""
     colors = class_colors(data.classes)
     overlay = Overlay(colors, data.farthest_m)
     legend = [(info.name, info.color) for info in colors] if head == "semantic" else ()
-    row = pair[0].row
-    for index in sorted(errors[0], key=lambda index: -errors[0][index])[:WORST]:
+    of_row = errors[row.model]
+    for index in sorted(of_row, key=lambda index: -of_row[index])[:WORST]:
         sample, _ = data.read(index)
         ((_, _, frame, fed),) = data.split(sample, index, [pair[0].feed])
-        answers = [data.answer(models[item.row.model], frame.sample, fed, index) for item in drawn]
-        target = np.where(frame.target <= data.farthest_m, frame.target, np.float32(0))
-        other = drawn[1].row.model if len(drawn) > 1 else ""
+        maps: dict[str, NDArray[Any]] = {
+            name: data.answer(models[name], frame.sample, fed, index).heads[head] for name in drawn
+        }
+        if head == "semantic":
+            truth: NDArray[Any] = sample.semantic
+            known = truth != NO_CLASS
+            wrong = [np.not_equal(values, truth) for values in maps.values()]
+        else:
+            target = np.where(frame.target <= data.farthest_m, frame.target, np.float32(0))
+            truth, known = _dots(target), target > 0
+            wrong = [np.abs(values - target) > WRONG_SHARE * target for values in maps.values()]
+        pictures = overlay.panels(frame.sample.rgb, HeadMaps(), widest=_WIDEST)
+        for title, values in {"truth": truth, **maps}.items():
+            shown = overlay.panels(None, HeadMaps(**{head: values}), widest=_WIDEST)
+            (pictures[title],) = shown.values()
+        size = next(iter(pictures.values())).shape[:2]
+        pictures["where they are wrong" if other else "where it is wrong"] = _mark(
+            known, wrong, size
+        )
+        panels = {
+            title: bytes(encode_jpeg(each, quality=_QUALITY)) for title, each in pictures.items()
+        }
         yield WorstFrame(
             *(row, other, head, sample.name),
-            errors[0][index],
-            errors[1].get(index) if other else None,
-            _panels(overlay, frame.sample, target, answers, head, [row.model, other]),
+            of_row[index],
+            errors[other].get(index) if other else None,
+            panels,
             legend,
         )
 
 
-def _panels(
-    overlay: Overlay,
-    sample: Sample,
-    target: NDArray[np.float32],
-    answers: Sequence[HeadMaps],
-    head: str,
-    names: Sequence[str],
-) -> dict[str, bytes]:
-    truth = (
-        HeadMaps(semantic=sample.semantic) if head == "semantic" else HeadMaps(depth=_dots(target))
-    )
-    shown = {"truth": truth}
-    for name, answer in zip(names, answers, strict=False):
-        shown[name] = HeadMaps(**{head: answer.heads[head]})
-    pictures = overlay.panels(sample.rgb, HeadMaps(), widest=_WIDEST)
-    for title, maps in shown.items():
-        (pictures[title],) = overlay.panels(None, maps, widest=_WIDEST).values()
-    if head == "semantic":
-        known = sample.semantic != NO_CLASS
-        wrong = [answer.semantic != sample.semantic for answer in answers]
-    else:
-        known = target > 0
-        depths = [answer.depth for answer in answers if answer.depth is not None]
-        wrong = [np.abs(depth - target) > WRONG_SHARE * target for depth in depths]
-    colors = np.zeros((*sample.size, 3), np.uint8)
+def _mark(
+    known: NDArray[np.bool_], wrong: Sequence[NDArray[np.bool_]], size: Size
+) -> NDArray[np.uint8]:
+    """Colour the pixels that are right, and those that a model, another and both have wrong."""
+    colors = np.zeros((*known.shape, 3), np.uint8)
     colors[known] = _RIGHT
     colors[known & wrong[0]] = _WRONG
     if len(wrong) > 1:
         colors[known & wrong[1]] = _OTHER_WRONG
         colors[known & wrong[0] & wrong[1]] = _BOTH_WRONG
-    height, width = next(iter(pictures.values())).shape[:2]
     if known.mean() < 0.5:  # single returns would vanish
-        window = np.ones((1 + 2 * (sample.size[1] // width), 3), np.uint8)
+        window = np.ones((1 + 2 * (known.shape[1] // size[1]), 3), np.uint8)
         colors = np.asarray(cv2.dilate(colors, window), np.uint8)
-    shrunk = cv2.resize(colors, (width, height), interpolation=cv2.INTER_NEAREST)
-    pictures["where they are wrong" if len(wrong) > 1 else "where it is wrong"] = np.asarray(
-        shrunk, np.uint8
-    )
-    return {
-        title: bytes(encode_jpeg(picture, quality=_QUALITY)) for title, picture in pictures.items()
-    }
+    return np.asarray(cv2.resize(colors, size[::-1], interpolation=cv2.INTER_NEAREST), np.uint8)
 
 
 def _dots(depth: NDArray[np.float32]) -> NDArray[np.float32]:
