@@ -171,9 +171,9 @@ def _score_frame(
         found = _Tally()
         found.places[sample.place] = scores
         group = data.group(sample, index)
-        parts = scores.semantic.confusion, scores.depth.sums
         others = {head: sums.sums for head, sums in scores.others.items()}
-        found.frames.append(FrameScore(index, sample.name, group, *parts, others))
+        confusion, depth = scores.semantic.confusion, scores.depth.sums
+        found.frames.append(FrameScore(index, sample.name, group, confusion, depth, others))
         found.fed += bool(frame.fed.any())
         tally.inputs[feed].merge(found)
 
