@@ -189,28 +189,29 @@ def _open_models(
 ) -> dict[str, ScoredModel]:
     """Return the models by title, in the order of the arguments; the stack closes them."""
     names = list(dict.fromkeys(map(str, options.models)))
-    paths = {
+    files = {
         name: runs[name].model if name in runs else _find_file(name)
         for name in names
         if name not in METHODS
     }
     # A run is called like its folder: all have a model.pt.
-    titled = [Path(name).resolve() if name in runs else path for name, path in paths.items()]
-    titles = dict(zip(paths, short_names(titled), strict=True))
+    paths = [
+        Path(name).resolve() if name in runs else files.get(name, Path(name)) for name in names
+    ]
     left = list(options.adapters)
     scored: dict[str, ScoredModel] = {}
-    for name in names:
+    for name, title in zip(names, short_names(paths), strict=True):
         if name in METHODS:
-            scored[name] = open_method(name)
+            scored[title] = open_method(name)
             continue
         opened = open_scored_model(
-            paths[name],
+            files[name],
             device=options.device,
             threads=options.threads,
             size=options.size,
             adapters=left,
         )
-        scored[titles[name]] = stack.enter_context(opened)
+        scored[title] = stack.enter_context(opened)
     if left:
         raise InputError(
             f"--adapter {left[0]}: every model has its own description: leave the adapter out"

@@ -8,6 +8,7 @@ from typing import Any
 
 import cv2
 import numpy as np
+import torch
 from numpy.typing import NDArray
 from tqdm import tqdm
 
@@ -253,8 +254,7 @@ class ForeignNetwork:
                 f"{self.path}: its output {self.adapter.semantic!r} is {values.shape}, and its "
                 f"adapter names {count} classes: correct classes or semantic"
             )
-        self._require_grid(values.shape, values.shape[2:], self.adapter.semantic, canvas)
-        return self._finite(values[0].astype(np.float32), self.adapter.semantic)
+        return self._checked(values[0], values.shape, self.adapter.semantic, canvas)
 
     def _ids(self, values: NDArray[Any], canvas: Size) -> NDArray[np.uint8]:
         """Return the ids at the size of the image that is fed."""
@@ -281,18 +281,21 @@ class ForeignNetwork:
                 f"{self.path}: its output {name!r} is {values.shape}; expected a map: name another "
                 "output"
             )
-        self._require_grid(values.shape, plane.shape, name, canvas)
-        return self._finite(plane.astype(np.float32), name)
+        return self._checked(plane, values.shape, name, canvas)
 
-    def _require_grid(
-        self, shape: Sequence[int], grid: Sequence[int], name: str | None, canvas: Size
-    ) -> None:
-        if not fits(grid, canvas):
+    def _checked(
+        self, maps: NDArray[Any], shape: Sequence[int], name: str | None, canvas: Size
+    ) -> NDArray[np.float32]:
+        """Return maps (..., h, w) of the output `name` if they are finite and of the image."""
+        if not fits(maps.shape[-2:], canvas):
             raise InputError(
                 f"{self.path}: its output {name!r} is {tuple(shape)}, which is no map of the image "
                 f"of {canvas[0]} x {canvas[1]}: export rows and columns as its last axes, and "
                 "scores as (1, classes, rows, columns)"
             )
+        if not np.isfinite(maps := maps.astype(np.float32)).all():
+            raise SSDNetError(f"{self.path}: its output {name!r} is not finite")
+        return maps
 
     def _metres(self, values: NDArray[np.float32]) -> NDArray[np.float32]:
         metres = np.maximum(values / np.float32(self.adapter.depth_scale), np.float32(0))
@@ -300,28 +303,16 @@ class ForeignNetwork:
             metres = np.reciprocal(np.maximum(metres, np.float32(_LEAST_INVERSE)))
         return np.asarray(metres, np.float32)
 
-    def _finite(self, values: NDArray[np.float32], name: str | None) -> NDArray[np.float32]:
-        if not np.isfinite(values).all():
-            raise SSDNetError(f"{self.path}: its output {name!r} is not finite")
-        return values
-
 
 def open_foreign(
-    path: Path,
-    adapter: Path | None,
-    *,
-    provider: str,
-    device_id: int,
-    threads: int,
-    size: NetworkSize,
+    path: Path, adapter: Path | None, place: torch.device, threads: int, size: NetworkSize
 ) -> ForeignNetwork:
     """Open a network of others.
 
     Args:
         path: an ONNX file; weights in files beside it are read, too.
         adapter: its description; None: the TOML file of the same name beside it.
-        provider: see `open_session`, also for device_id and threads.
-        device_id: index of the GPU.
+        place: the processor or the GPU.
         threads: threads of the processor.
         size: see `ForeignNetwork`.
 
@@ -332,8 +323,8 @@ def open_foreign(
     """
     session = open_session(
         read_onnx(path),
-        provider=provider,
-        device_id=device_id,
+        provider=place.type,
+        device_id=place.index or 0,
         threads=threads,
         weights_folder=str(path.parent),
     )

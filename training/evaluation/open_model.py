@@ -64,13 +64,7 @@ def open_scored_model(
         )
     elif path.suffix == ".onnx" and not has_metadata(path):
         place, adapter = parse_device(device), adapters.pop(0) if adapters else None
-        foreign = open_foreign(
-            *(path, adapter),
-            provider=place.type,
-            device_id=place.index or 0,
-            threads=threads,
-            size=size,
-        )
+        foreign = open_foreign(path, adapter, place, threads, size)
         is_canonical = foreign.adapter.canonical_focal_px is not None
         yield ScoredModel(foreign, f"onnxruntime on {place.type}", foreign.table, is_canonical)
     elif path.suffix == ".onnx":

@@ -87,12 +87,8 @@ def draw_batch(batch: Batch, overlay: Overlay, *, count: int) -> NDArray[np.uint
     fed = column(batch.sparse_depth)
     columns = {name: column(labels) for name, labels in batch.targets.items()}
     targets = HeadMaps(**_labelled(columns, columns.keys() - AUXILIARY.keys()))
-    # Far returns are drawn first, so that near dots cover them.
-    nearness = np.divide(1, fed, out=np.zeros_like(fed), where=fed > 0)
-    nearness = cv2.dilate(nearness, np.ones((_DOT_PX, _DOT_PX), np.uint8))
-    dots = np.divide(1, nearness, out=np.zeros_like(fed), where=nearness > 0)
     (input_panel,) = overlay.panels(rgb // 3 + 85, HeadMaps()).values()
-    (colors,) = overlay.panels(None, HeadMaps(depth=dots)).values()
+    (colors,) = overlay.panels(None, HeadMaps(depth=enlarge_returns(fed, _DOT_PX))).values()
     np.copyto(input_panel, colors, where=(colors != NO_VALUE_COLOR).any(axis=-1, keepdims=True))
     panels = {**overlay.panels(rgb, targets), "LiDAR input": input_panel}
     for title, panel in panels.items():
@@ -102,6 +98,13 @@ def draw_batch(batch: Batch, overlay: Overlay, *, count: int) -> NDArray[np.uint
     for index, name in enumerate(names, start=1):
         write_text(picture, name, (6, input_panel.shape[0] * index // len(names) - 6))
     return picture  # type: ignore[return-value]
+
+
+def enlarge_returns(depth: NDArray[np.float32], side: int) -> NDArray[np.float32]:
+    """Enlarge the returns of a depth map to dots of `side` pixels, the nearest in front."""
+    nearness = np.divide(1, depth, out=np.zeros_like(depth), where=depth > 0)
+    nearness = np.asarray(cv2.dilate(nearness, np.ones((side, side), np.uint8)))
+    return np.divide(1, nearness, out=np.zeros_like(depth), where=nearness > 0)
 
 
 def _side_by_side(pictures: Sequence[NDArray[np.uint8]]) -> NDArray[np.uint8]:

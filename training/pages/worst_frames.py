@@ -14,6 +14,7 @@ from runtime.contract.resize import Size
 from runtime.drawing.encode import encode_jpeg
 from runtime.drawing.overlay import Overlay
 from training.datasets.class_mapping import list_classes
+from training.pages.pictures import enlarge_returns
 from training.scores.evaluated_set import EvaluatedSet
 from training.scores.score_report import Row
 from training.scores.score_set import Result
@@ -113,7 +114,9 @@ def _draw(
             wrong = [np.not_equal(values, truth) for values in maps.values()]
         else:
             target = np.where(frame.target <= data.farthest_m, frame.target, np.float32(0))
-            truth, known = _dots(target), target > 0
+            known = target > 0
+            dense, dot_px = known.mean() > 0.5, 1 + 2 * max(1, target.shape[1] // _WIDEST)
+            truth = target if dense else enlarge_returns(target, dot_px)
             wrong = [np.abs(values - target) > WRONG_SHARE * target for values in maps.values()]
         pictures = overlay.panels(frame.sample.rgb, HeadMaps(), widest=_WIDEST)
         for title, values in {"truth": truth, **maps}.items():
@@ -149,16 +152,6 @@ def _mark(
         window = np.ones((1 + 2 * (known.shape[1] // size[1]), 3), np.uint8)
         colors = np.asarray(cv2.dilate(colors, window), np.uint8)
     return np.asarray(cv2.resize(colors, size[::-1], interpolation=cv2.INTER_NEAREST), np.uint8)
-
-
-def _dots(depth: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Enlarge single returns to dots, the nearest in front; a dense depth does not change."""
-    if (depth > 0).mean() > 0.5:
-        return depth
-    nearness = np.divide(1, depth, out=np.zeros_like(depth), where=depth > 0)
-    side = 1 + 2 * max(1, depth.shape[1] // _WIDEST)
-    nearness = np.asarray(cv2.dilate(nearness, np.ones((side, side), np.uint8)))
-    return np.divide(1, nearness, out=np.zeros_like(depth), where=nearness > 0)
 
 
 def class_colors(classes: ScoredClasses) -> tuple[ClassInfo, ...]:

@@ -145,7 +145,7 @@ def open_sets(
     opened = []
     for recipe, folder in zip(recipes, folders, strict=True):
         title = recipe.name or " ".join([folder, *_changed_keys(recipe)])
-        classes = share_classes(recipe, title, tables, ids=ids, joined=joined)
+        classes = share_classes(recipe, title, tables, ids, joined)
         source = open_dataset(recipe, [Path()], classes=classes.table)
         indices = spread_indices(source, limit or len(source))
         opened.append(EvaluatedSet(title, source, classes, indices, farthest_m, leave_out_fed))

@@ -41,9 +41,8 @@ def share_classes(
     recipe: SourceRecipe,
     title: str,
     tables: Mapping[str, ClassTable],
-    *,
-    ids: ClassTable | None = None,
-    joined: Mapping[str, str] | None = None,
+    ids: ClassTable | None,
+    joined: Mapping[str, str],
 ) -> ScoredClasses:
     """Return the classes of a set in which models are scored.
 
@@ -61,27 +60,24 @@ def share_classes(
     Raises:
         InputError: if the labels are ids of no named classes, and the models have several tables.
     """
-    joined = joined or {}
     own = recipe.label_table if recipe.label_table is not None else ids
-    known = {name: _names(table, joined) for name, table in tables.items()}
     first = next(iter(tables.values()), "camvid")
-    same = len({tuple(map(str.lower, _names(table, {}))) for table in tables.values()}) < 2
+    unjoined = {name: _names(table, {}) for name, table in tables.items()}
+    same = len({tuple(names) for names in unjoined.values()}) < 2
     if own is None and not same:
-        several = "; ".join(
-            f"{name}: {', '.join(_names(table, {}))}" for name, table in tables.items()
-        )
+        several = "; ".join(f"{name}: {', '.join(of.values())}" for name, of in unjoined.items())
         raise InputError(
             f"{title}: its labels are numbers, and the models have different classes ({several}): "
             'name the numbers, for example label_ids={0 = "road", 1 = "car"}, or give the folder '
             "of the run that was trained on them in place of its model"
         )
     table = first if own is None or (same and is_mapped(own, first)) else own
-    every = {title: _names(table, joined), **known}
-    names = tuple(
-        name for name in every[title] if all(_holds(found, name) for found in every.values())
-    )
+    every = {where: _names(of, joined) for where, of in {title: table, **tables}.items()}
+    shared = set.intersection(*map(set, every.values()))
+    names = tuple(name for lower, name in every[title].items() if lower in shared)
     alone = {
-        where: [name for name in found if not _holds(names, name)] for where, found in every.items()
+        where: [name for lower, name in found.items() if lower not in shared]
+        for where, found in every.items()
     }
     left_out = "; ".join(f"{', '.join(found)} ({where})" for where, found in alone.items() if found)
     if left_out:
@@ -157,10 +153,7 @@ def draft_join(
     }
 
 
-def _names(table: ClassTable, joined: Mapping[str, str]) -> tuple[str, ...]:
+def _names(table: ClassTable, joined: Mapping[str, str]) -> dict[str, str]:
+    """Return the names of the classes, joined, by these names in lower case."""
     names = (joined.get(info.name.lower(), info.name) for info in list_classes(table))
-    return tuple({name.lower(): name for name in names}.values())
-
-
-def _holds(names: Iterable[str], name: str) -> bool:
-    return name.lower() in {other.lower() for other in names}
+    return {name.lower(): name for name in names}

@@ -7,15 +7,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from typer.testing import CliRunner
 
 from export.exporter import export_checkpoint
 from layouts import camvid, kitti_streets, virtual_kitti
+from layouts.evaluation import run, score
 from layouts.pictures import read, write
 from models import create_model, load_checkpoint, save_checkpoint
 from runtime.contract.contract import ClassInfo
 from training.evaluation.classical import METHODS
-from training.evaluation.cli import app
 from training.evaluation.open_model import open_method
 
 # Few layers: tracing one for every size takes long.
@@ -42,24 +41,8 @@ def folder(tmp_path_factory):
     return root
 
 
-def run(*arguments):
-    return CliRunner().invoke(app, [str(argument) for argument in (*arguments, "--threads", 1)])
-
-
-@pytest.fixture
-def scored(tmp_path):
-    """Run the command, which must succeed; returns the rows and the output."""
-
-    def score(*arguments):
-        result = run(*arguments, "--json", tmp_path / "rows.json", "--overwrite")
-        assert result.exit_code == 0, result.output
-        return json.loads((tmp_path / "rows.json").read_text()), result.output
-
-    return score
-
-
-def test_checkpoint_and_export_score_alike_on_every_lidar_and_fault(folder, scored):
-    rows, output = scored(
+def test_checkpoint_and_export_score_alike_on_every_lidar_and_fault(folder):
+    rows, output = score(
         *(folder / "lite.pt", folder / "lite.onnx", "nearest", "--size", "frame"),
         *("--data", f"rendered:{folder}/scenes", "--data", f"camvid:{folder}/camvid,split=val"),
         *("--lidar", "64,random:0.05,none,none", "--faults", "nan,black"),
@@ -88,7 +71,7 @@ def test_checkpoint_and_export_score_alike_on_every_lidar_and_fault(folder, scor
     assert "| lite.onnx" in output
 
 
-def test_checkpoint_and_export_run_at_one_size(folder, scored, tmp_path):
+def test_checkpoint_and_export_run_at_one_size(folder, tmp_path):
     """Frames of 64 rows for a network trained on 40: shrunk for both, unless asked otherwise.
 
     It works in canonical depth: both take the focal length of the scenes, at the size they run at.
@@ -96,7 +79,7 @@ def test_checkpoint_and_export_run_at_one_size(folder, scored, tmp_path):
     data = ["--data", f"rendered:{folder}/scenes", "--limit", 1]
     mae_m = {}
     for size in ("auto", "frame", "40", "48x80"):
-        rows, _ = scored(folder / "lite.pt", folder / "lite.onnx", *data, "--size", size)
+        rows, _ = score(folder / "lite.pt", folder / "lite.onnx", *data, "--size", size)
         ours, exported = (row["figures"] for row in rows)
         assert exported["mae_m"] == pytest.approx(ours["mae_m"], 1e-4)
         assert exported["miou"] == pytest.approx(ours["miou"], 1e-2)
@@ -106,14 +89,14 @@ def test_checkpoint_and_export_run_at_one_size(folder, scored, tmp_path):
     network = load_checkpoint(folder / "lite.pt").model
     network.config = replace(network.config, canonical_focal_px=None)
     save_checkpoint(tmp_path / "plain.pt", network)
-    ((plain,), _) = scored(tmp_path / "plain.pt", *data, "--size", "frame")
+    ((plain,), _) = score(tmp_path / "plain.pt", *data, "--size", "frame")
     assert plain["figures"]["mae_m"] != pytest.approx(mae_m["frame"], 1e-2)
 
 
-def test_methods_are_scored_by_name_and_need_no_model(folder, scored):
+def test_methods_are_scored_by_name_and_need_no_model(folder):
     names = ["tgv", "ip-basic", "mrf", "ip-basic-multiscale", "nearest"]
     data = ["--data", f"rendered:{folder}/scenes"]
-    rows, _ = scored(*names, *data, "--lidar", "random:0.05,none", "--limit", 1)
+    rows, _ = score(*names, *data, "--lidar", "random:0.05,none", "--limit", 1)
     by_key = {(row["model"], row["lidar"]): row for row in rows}
     assert list(by_key) == [(name, lidar) for name in names for lidar in ("random:0.05", "none")]
     assert {row["engine"] for row in rows} == {"no network"}
@@ -194,14 +177,14 @@ def test_depth_is_saved_without_ground_truth_and_replaced_when_asked(tmp_path):
         assert str(path) in result.output
 
 
-def test_frames_of_one_place_count_as_one_in_the_mean_over_places(scored, tmp_path):
+def test_frames_of_one_place_count_as_one_in_the_mean_over_places(tmp_path):
     """Errors of 0 m in two frames of one place, of 10 m in a frame of another."""
     kitti_streets.write_streets(tmp_path, (72, 73, 83))
     far = np.zeros((kitti_streets.HEIGHT, kitti_streets.WIDTH), np.uint16)
     far[:, : kitti_streets.WIDTH // 2] = 2 * 256  # 20 m
     write(tmp_path / "disp_occ_0/000083.png", far)
     command = ["nearest", "--lidar", "64", "--data"]
-    (row,), output = scored(*command, f"kitti-streets:{tmp_path}")
+    (row,), output = score(*command, f"kitti-streets:{tmp_path}")
     assert row["figures"]["mae_m"] == pytest.approx(10 / 3)
     assert row["figures_over_places"]["mae_m"] == pytest.approx(5)
     assert {place: figures["mae_m"] for place, figures in row["places"].items()} == {
@@ -211,7 +194,7 @@ def test_frames_of_one_place_count_as_one_in_the_mean_over_places(scored, tmp_pa
     assert "mean over 2 places" in output.splitlines()[-2]
     for last in (71, 73):  # no place is known of the first, and the others show one
         kitti_streets.write_streets(tmp_path, (last - 2,))
-        (row,), _ = scored(*command, f"kitti-streets:{tmp_path},last={last}")
+        (row,), _ = score(*command, f"kitti-streets:{tmp_path},last={last}")
         assert (row["places"], row["figures_over_places"]) == ({}, {})
 
 
@@ -231,7 +214,7 @@ def test_errors_name_what_is_wrong(folder, model, options, text):
     assert text in result.output
 
 
-def test_truth_that_is_missing_or_not_scored_is_counted(scored, tmp_path):
+def test_truth_that_is_missing_or_not_scored_is_counted(tmp_path):
     """Counted are depth beyond 100 m, pixels without a class, and classes that never occur."""
     write(tmp_path / "images" / "a.png", GREY)
     write(tmp_path / "lidar" / "a.png", np.full((40, 64), 5 * 256, np.uint16))
@@ -239,12 +222,12 @@ def test_truth_that_is_missing_or_not_scored_is_counted(scored, tmp_path):
     depth = np.where(np.arange(64) < 48, np.full((40, 64), 5000), 30_000)
     write(tmp_path / "depth" / "a.png", depth.astype(np.uint16))
     data = f"folders:{tmp_path},name=2011-09-26,sparse_depth=lidar"
-    _, output = scored("ssdnet-nano", "--data", f"{data},labels=labels,depth=depth")
+    _, output = score("ssdnet-nano", "--data", f"{data},labels=labels,depth=depth")
     assert "| 2011-09-26 |" in output
     assert "2011-09-26: 25 % of the depth is beyond 100 m" in output
     assert "50 % of the labelled pixels have no class" in output
     assert "as ground truth" not in output
-    (row,), output = scored("ssdnet-nano", "--data", data)
+    (row,), output = score("ssdnet-nano", "--data", data)
     assert row["figures"] == {}
     assert all(f"none of the 1 frames has {truth}" in output for truth in ("labels", "depth"))
 
@@ -274,17 +257,17 @@ def named_model(model_file, contract):
     return write
 
 
-def test_classes_are_compared_by_name(named_model, scored, tmp_path):
+def test_classes_are_compared_by_name(named_model, tmp_path):
     """Two models of one table in the classes that both have, whatever their numbers."""
     data = write_halves(tmp_path) + ',label_ids={3="road",7="car",9="sky"}'
     one, other = named_model("one.onnx", "road", "car"), named_model("other.onnx", "road", "tree")
-    (row,), output = scored(one, "--data", data)
+    (row,), output = score(one, "--data", data)
     ious = {"iou_road": 30 / 36, "iou_car": 36 / 42}  # 6 of 36 rows are called car
     assert {k: v for k, v in row["figures"].items() if k[:4] == "iou_"} == pytest.approx(ious)
     assert row["figures"]["miou"] == pytest.approx(sum(ious.values()) / 2)
     assert row["labelled"] == {"road": [36 * 32, 1], "car": [36 * 32, 1]}
     assert [line for line in output.splitlines() if line.endswith(": sky (halves)")]
-    rows, output = scored(one, other, "--data", data)
+    rows, output = score(one, other, "--data", data)
     for row in rows:  # a car or a tree is no road
         assert row["figures"]["miou"] == row["figures"]["iou_road"] == pytest.approx(30 / 36)
         assert row["figures"]["accuracy"] == pytest.approx(30 / 36)

@@ -8,16 +8,15 @@ import numpy as np
 import onnx
 import pytest
 from onnx import TensorProto, helper, numpy_helper
-from typer.testing import CliRunner
 
 from layouts import virtual_kitti
+from layouts.evaluation import run, score
 from layouts.pictures import write
 from models import CAMVID_CLASSES
 from models.network import CLASS_STRIDE
 from runtime.contract.model_file import load_model_file
 from runtime.engine.bundled_models import find_model
 from training.evaluation.adapter import NORMALIZATIONS, read_adapter
-from training.evaluation.cli import app
 
 SIZE = 64, 128
 NATIVE = "ssdnet-nano"
@@ -79,10 +78,6 @@ def folder(tmp_path_factory):
     return root
 
 
-def run(*arguments):
-    return CliRunner().invoke(app, [*map(str, arguments), "--threads", "1"])
-
-
 def adapter(folder, name, depth_is):
     contract = load_model_file(find_model(NATIVE)).contract
     lines = [
@@ -94,24 +89,20 @@ def adapter(folder, name, depth_is):
     (folder / f"{name}.toml").write_text("\n".join(lines))
 
 
-def test_a_network_without_metadata_scores_as_natively(folder, tmp_path):
+def test_a_network_without_metadata_scores_as_natively(folder):
     """It answers metres or inverse depth, and class scores on a quarter of the image's grid."""
     adapter(folder, "plain", "depth")
     adapter(folder, "inverse", "inverse")
     data = f"rendered:{folder}/scenes,size={list(SIZE)}"
     models = (NATIVE, folder / "plain.onnx", folder / "inverse.onnx")
-    result = run(*models, "--data", data, "--lidar", "64,none", "--json", tmp_path / "rows.json")
-    assert result.exit_code == 0, result.output
-    rows = json.loads((tmp_path / "rows.json").read_text())
+    rows, _ = score(*models, "--data", data, "--lidar", "64,none")
     for lidar in ("64", "none"):
         native, plain, inverse = (row["figures"] for row in rows if row["lidar"] == lidar)
         for key in ("miou", "accuracy", "mae_m", "rmse_m", "imae_per_km"):
             assert plain[key] == pytest.approx(native[key], rel=1e-5), key
             assert inverse[key] == pytest.approx(native[key], rel=1e-5), key
     adapter(folder, "inverse", "depth")  # a wrong adapter shows
-    command = [folder / "inverse.onnx", "--data", data, "--lidar", "64"]
-    assert run(*command, "--json", tmp_path / "rows.json", "--overwrite").exit_code == 0
-    (wrong,) = json.loads((tmp_path / "rows.json").read_text())
+    (wrong,), _ = score(folder / "inverse.onnx", "--data", data, "--lidar", "64")
     assert wrong["figures"]["mae_m"] > 2 * rows[0]["figures"]["mae_m"]
 
 
@@ -185,9 +176,7 @@ def test_ids_of_an_exporter_that_names_its_classes(tmp_path, shape, fit):
     path.with_suffix(".toml").write_text(
         "\n".join([*lines, f'fit = "{fit}"'][: 3 + (fit == "pad")])
     )
-    result = run(path, "--data", data, "--lidar", "none", "--json", tmp_path / "rows.json")
-    assert result.exit_code == 0, result.output
-    (row,) = json.loads((tmp_path / "rows.json").read_text())
+    (row,), _ = score(path, "--data", data, "--lidar", "none")
     assert row["figures"]["miou"] > (0.99 if fit == "stretch" else 0.9)
 
 
@@ -203,14 +192,10 @@ def test_numbers_are_no_names_of_classes(tmp_path):
 def test_depth_of_an_exporter_opens_with_three_lines(tmp_path):
     data, path = red(tmp_path), tmp_path / "depth.onnx"
     by_hand(path, shape=(32, 64), output=TensorProto.FLOAT)
-    json_file = tmp_path / "rows.json"
-    command = [path, "--data", data, "--lidar", "none", "--json", json_file, "--overwrite"]
     for scale, mae_m in ((1, 0), (2, 0.75)):
         lines = ['normalize = "0..1"', 'depth = "output0"', f"depth_scale = {scale}"]
         path.with_suffix(".toml").write_text("\n".join(lines))
-        result = run(*command)
-        assert result.exit_code == 0, result.output
-        (row,) = json.loads(json_file.read_text())
+        (row,), _ = score(path, "--data", data, "--lidar", "none")
         assert row["figures"]["mae_m"] == pytest.approx(mae_m)
 
 
@@ -278,9 +263,8 @@ def test_no_normalisation_changes_bytes(tmp_path):
     data, path = red(tmp_path), tmp_path / "net.onnx"
     others(path, kind=BYTES)
     path.with_suffix(".toml").write_text(ROAD + 'normalize = "imagenet"')
-    result = run(path, "--data", data, "--lidar", "none")
-    assert result.exit_code == 0, result.output
-    assert "takes bytes (uint8)" in result.output
+    _, output = score(path, "--data", data, "--lidar", "none")
+    assert "takes bytes (uint8)" in output
 
 
 def test_names_are_sorted_as_numbers(tmp_path):

@@ -5,10 +5,9 @@ import tomllib
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
 
+from layouts.evaluation import run as evaluate
 from layouts.pictures import write
-from training.evaluation.cli import app
 
 COLORS = np.uint8([[128, 64, 128], [0, 0, 142], [70, 130, 180]])
 
@@ -32,7 +31,7 @@ def run(folder, *further, labels="labels", classes="classes.txt"):
     answers = [("--predictions", f"{folder}/{name}{names}") for name in ("theirs", "wrong")]
     given = ["--images", folder / "images", "--labels", folder / labels]
     given += ["--classes", folder / classes] if classes else []
-    return CliRunner().invoke(app, list(map(str, [*sum(answers, ()), *given, *further])))
+    return evaluate(*sum(answers, ()), *given, *further)
 
 
 def test_no_verdict_before_classes_are_joined_by_their_meaning(frames):
@@ -70,6 +69,6 @@ def test_labels_may_be_in_colours(frames):
     (["--images", "i", "--depth-scale", "2"], "--depth-scale belongs to --depth"),
 ])  # fmt: skip
 def test_options_that_need_another_are_refused(options, text):
-    result = CliRunner().invoke(app, ["ssdnet-nano", *options])
+    result = evaluate("ssdnet-nano", *options)
     assert result.exit_code == 1
     assert text in result.output

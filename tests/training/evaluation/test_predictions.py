@@ -1,19 +1,12 @@
 """Answers of others, scored by the names of the frames; runs; classes that are joined."""
 
-import json
-
 import numpy as np
 import pytest
-from typer.testing import CliRunner
 
+from layouts.evaluation import run, score
 from layouts.pictures import write
-from training.evaluation.cli import app
 
 LEFT = np.arange(64) < 32
-
-
-def run(*arguments):
-    return CliRunner().invoke(app, [*map(str, arguments), "--threads", "1", "--lidar", "none"])
 
 
 @pytest.fixture
@@ -25,20 +18,10 @@ def data(tmp_path):
         write(tmp_path / f"set/labels/{name}.png", ids)
         write(tmp_path / f"set/depth/{name}.png", np.full((40, 64), 2560, np.uint16))
     keys = 'labels=labels,depth=depth,label_ids={3="road",7="car"}'
-    return ["--data", f"folders:{tmp_path}/set,{keys}"]
+    return ["--data", f"folders:{tmp_path}/set,{keys}", "--lidar", "none"]
 
 
-@pytest.fixture
-def rows(tmp_path):
-    def score(*arguments):
-        result = run(*arguments, "--json", tmp_path / "rows.json", "--overwrite")
-        assert result.exit_code == 0, result.output
-        return json.loads((tmp_path / "rows.json").read_text()), result.output
-
-    return score
-
-
-def test_ids_and_depth_are_found_by_the_names_of_the_frames(data, rows, tmp_path):
+def test_ids_and_depth_are_found_by_the_names_of_the_frames(data, tmp_path):
     """8-bit PNGs of a set's ids, 16-bit PNGs and .npy of depth; a quarter of the road is wrong."""
     ids = np.where(np.arange(64) < 24, np.zeros((40, 64)), 1).astype(np.uint8)
     for name in ("a", "b"):
@@ -51,7 +34,7 @@ def test_ids_and_depth_are_found_by_the_names_of_the_frames(data, rows, tmp_path
     names = 'classes=["road","car"]'
     options = [f"{tmp_path}/theirs", f"{tmp_path}/png,depth_scale=1000", f"{tmp_path}/both"]
     options = [f"{options[0]},{names}", options[1], f"{options[2]},{names}"]
-    found, output = rows(*data, *(part for each in options for part in ("--predictions", each)))
+    found, output = score(*data, *(part for each in options for part in ("--predictions", each)))
     theirs, png, both = (row["figures"] for row in found)
     assert theirs["miou"] == both["miou"] == pytest.approx((24 / 32 + 32 / 40) / 2)
     assert "mae_m" not in theirs
@@ -97,17 +80,17 @@ def test_predictions_that_do_not_fit_say_why(data, tmp_path):
     assert "page.html exists: choose another name" in result.output  # before data are read
 
 
-def test_classes_count_as_one_where_a_file_says_so(data, rows, tmp_path):
+def test_classes_count_as_one_where_a_file_says_so(data, tmp_path):
     """A model of trucks and vehicles on labels of cars: names match in any case, and joined."""
     ids = np.where(LEFT, np.zeros((40, 64)), np.where(np.arange(64) < 48, 1, 2)).astype(np.uint8)
     for name in ("a", "b"):
         write(tmp_path / f"theirs/{name}.png", ids)
     theirs = f'{tmp_path}/theirs,classes=["Road","truck","vehicle"]'
-    ((apart,), _) = rows(*data, "--predictions", theirs)
+    ((apart,), _) = score(*data, "--predictions", theirs)
     assert apart["figures"]["miou"] == apart["figures"]["iou_road"] == 1
     assert "car" in apart["left_out"]
     (tmp_path / "join.toml").write_text('vehicle = ["car", "truck"]\n')
-    ((joined,), _) = rows(*data, "--predictions", theirs, "--join", tmp_path / "join.toml")
+    ((joined,), _) = score(*data, "--predictions", theirs, "--join", tmp_path / "join.toml")
     ious = {key: value for key, value in joined["figures"].items() if key.startswith("iou_")}
     assert ious == {"iou_road": 1, "iou_vehicle": 1}
     both = 'vehicle = ["car"]\nVehicle = ["truck"]'
