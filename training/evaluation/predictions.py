@@ -2,7 +2,7 @@
 
 import io
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 from typing import Annotated, Any
@@ -60,6 +60,8 @@ class Predictions:
 
     folder: Path
     options: PredictionOptions
+    # The frame for which each file was read.
+    _frames: dict[Path, str] = field(default_factory=dict)
 
     @classmethod
     def parse(cls, text: str) -> "Predictions":
@@ -86,27 +88,22 @@ class Predictions:
         Raises:
             DatasetError: if there is no file of its name, or the file has another kind or size.
         """
-        found = {}
+        maps: dict[str, NDArray[np.generic]] = {}
         for head, files in self._files.items():
             if (path := _find(files, sample.name, image_name)) is None:
-                continue
+                name = image_name or sample.name
+                raise DatasetError(
+                    f"{self.folder}: has no {head or 'file'} of the frame {name} "
+                    f"({' or '.join(f'{name}{suffix}' for suffix in _SUFFIXES)}); every frame that "
+                    "is scored needs one: add it, or take the frame out of --data with first, last "
+                    "or split"
+                )
             if (frame := self._frames.setdefault(path, sample.name)) != sample.name:
                 raise DatasetError(
                     f"{path}: is the file of two frames, {frame} and {sample.name}: put each into "
                     "a folder of the name before it"
                 )
-            found[head] = self._read(path, sample, head)
-        if len(found) < len(self._files):
-            name = image_name or sample.name
-            missing = next(head for head in self._files if head not in found)
-            raise DatasetError(
-                f"{self.folder}: has no {missing or 'file'} of the frame {name} "
-                f"({' or '.join(f'{name}{suffix}' for suffix in _SUFFIXES)}); every frame that is "
-                "scored needs one: add it, or take the frame out of --data with first, last or "
-                "split"
-            )
-        maps: dict[str, NDArray[np.generic]] = {}
-        for head, values in found.items():
+            values = self._read(path, sample, head)
             maps[head or ("semantic" if values.dtype == np.uint8 else "depth")] = values
         return HeadMaps(**maps)
 
@@ -118,11 +115,6 @@ class Predictions:
         if empty := [self.folder / head for head, files in found.items() if not files]:
             raise DatasetError(f"{empty[0]}: has no .png and no .npy files: add one for each frame")
         return found
-
-    @cached_property
-    def _frames(self) -> dict[Path, str]:
-        """The frame for which each file was read."""
-        return {}
 
     def _read(
         self, path: Path, sample: Sample, head: str

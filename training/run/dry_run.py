@@ -16,7 +16,7 @@ from training.pages.pictures import draw_batch
 from training.run.batches import read_batches
 from training.run.run_folder import BATCH, folder_errors
 from training.run.stages import Stage, next_stage
-from training.run.task import Task, open_task
+from training.run.task import open_task
 from training.run.training_run import RunResult, TrainingRun
 
 # Samples of the batch that are drawn, and frames of each set that are described.
@@ -45,19 +45,15 @@ def dry_run(stages: Sequence[Stage], run: TrainingRun) -> RunResult:
             )
             atomic_write(run.out / BATCH, encode_png(draw_batch(batch, overlay, count=_DRAWN)))
         processes.wait()
-    path = run.out / BATCH
-    return RunResult(path, lines=(*_describe(task), str(path)))
-
-
-def _describe(task: Task) -> Iterator[str]:
-    """Describe the sets of the mixture by some frames of each."""
-    recipe, (height, width) = task.recipe, task.data.augment.size
-    yield f"crops of {height} x {width} px"
+    path, (height, width) = run.out / BATCH, task.data.augment.size
+    lines = [f"crops of {height} x {width} px"]
     for item, source in zip(recipe.data.source, task.sources, strict=True):
-        yield from _describe_set(item.title, source, recipe.model.class_names)
+        lines += _describe_set(item.title, source, recipe.model.class_names)
+    return RunResult(path, lines=[*lines, str(path)])
 
 
 def _describe_set(title: str, source: SampleSource, classes: Sequence[str]) -> Iterator[str]:
+    """Describe a set of the mixture by some of its frames."""
     counts = np.zeros(256, dtype=np.int64)
     depths, pixels = [], 0
     for index in spread_indices(source, _DESCRIBED):

@@ -4,7 +4,7 @@ import sys
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from torch import Tensor
@@ -15,6 +15,7 @@ from models import Network
 from training.base.stop_signal import Stop, StopRequested
 from training.lidar.split import LidarInput
 from training.loading.open_dataset import Watched
+from training.pages.page import Curves, write_page
 from training.pages.pictures import draw_pictures
 from training.pages.worst_frames import draw_worst
 from training.run.run_folder import folder_errors
@@ -28,9 +29,6 @@ from training.scores.score_set import Result, score_set
 from training.scores.scored_model import open_network
 from training.scores.scoring import scored_classes
 from training.scores.shared_classes import ScoredClasses
-
-if TYPE_CHECKING:
-    from training.pages.page import Curves
 
 
 class Board:
@@ -82,7 +80,7 @@ def write_validation(
     path: Path,
     *,
     known: Mapping[str, Sequence[Result]],
-    curves: "Curves",
+    curves: Curves,
 ) -> None:
     """Write the page of networks on the validation sets, see `training.pages.page`.
 
@@ -95,8 +93,6 @@ def write_validation(
 
     Once the run is stopped, it ends without a page.
     """
-    from training.pages.page import write_page  # only where a page is made
-
     sets, table = _open_sets(task, task.run.stop), task.recipe.model.class_table
     models = {name: open_network(network, table) for name, network in networks.items()}
     with suppress(StopRequested):

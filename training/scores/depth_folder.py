@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from runtime.base.errors import InputError, OutputError
 from runtime.drawing.encode import encode_metres
-from runtime.files.atomic_write import atomic_write, require_writable
+from runtime.files.atomic_write import atomic_path, require_writable
 from runtime.files.own_folder import require_folder_free
 
 
@@ -49,10 +49,5 @@ class DepthFolder:
             )
         names = [re.sub(r"[^\w.-]+", "_", part).lstrip(".") or "_" for part in parts]
         path = self.folder.joinpath(*names[:-1], f"{names[-1]}.png")
-        try:
-            path.parent.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise OutputError(
-                f"{path.parent}: cannot be made: {error.strerror}: choose another --save"
-            ) from error
-        atomic_write(path, encode_metres(depth), overwrite=self.overwrite)
+        with atomic_path(path, overwrite=self.overwrite) as made:
+            made.write_bytes(encode_metres(depth))
