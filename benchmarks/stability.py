@@ -33,8 +33,8 @@ from training.datasets.sample import Sample
 from training.datasets.scan_lines import scan_line_of
 from training.evaluation.open_model import open_scored_model
 from training.loading.open_dataset import open_dataset
-from training.scores.depth_regions import distance_px
 from training.scores.evaluated_set import short_names
+from training.scores.metrics import distance_px
 from training.scores.scoring import Predict
 
 STREETS = KittiStreetsRecipe(path="kitti_streets", first=70, last=98)

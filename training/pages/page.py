@@ -14,9 +14,8 @@ from runtime.command.html import render_template
 from runtime.command.machine import machine_facts
 from runtime.files.atomic_write import atomic_write
 from training.pages.worst_frames import WRONG_SHARE, WorstFrame
-from training.scores.depth_regions import RETURN_DISTANCES
 from training.scores.differences import Difference
-from training.scores.metrics import RANGES_M
+from training.scores.metrics import RANGES_M, RETURN_DISTANCES
 from training.scores.score_report import COLUMNS, difference_rows, table_notes
 from training.scores.score_set import Result
 

@@ -8,7 +8,7 @@ measured are left out.
 
 import copy
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, Self
 
 import cv2
@@ -19,13 +19,20 @@ from numpy.typing import NDArray
 from models.classes import CATEGORIES
 from runtime.contract.contract import NO_CLASS
 from training.losses.boundary import boundary_target
-from training.scores.depth_regions import RETURN_DISTANCES, distance_px, split_distances
 
 # End of the widest range of Table 1 [m]; unless another limit is given, pixels with a farther true
 # depth are not scored.
 FARTHEST_M = 100.0
 # Ranges of true depth [m]: the two others of Table 1, and four that do not overlap.
 RANGES_M = ((0.0, 20.0), (0.0, 50.0), (0.0, 10.0), (10.0, 20.0), (20.0, 40.0), (40.0, 100.0))
+# Largest distance [px] to the nearest return that was fed, of each region: Euclidean, between the
+# centres of pixels, at the size of the frame.
+RETURN_DISTANCES: Mapping[str, float] = {
+    "return_0_px": 0,
+    "return_1_2_px": 2,
+    "return_3_6_px": 6,
+    "return_over_6_px": math.inf,
+}
 # Bins of the errors' histogram, equal in the logarithm [m]; neighbours differ by 0.3 %. The first
 # bin holds smaller errors, whose median is reported as 0.
 _ERROR_BINS_M = np.concatenate([[0], np.geomspace(1e-3, 1e3, 4097)])
@@ -397,3 +404,24 @@ def frame_errors(
     known = scored(truth)
     error = np.abs(np.minimum(depth[known], FARTHEST_M) - truth[known])
     return float(error.mean()), math.sqrt(np.square(error).mean()), float(np.median(error))
+
+
+def split_distances(to_return_px: NDArray[np.float32]) -> dict[str, NDArray[np.bool_]]:
+    """Return the mask, bool (H, W), of each of `RETURN_DISTANCES`; they do not overlap.
+
+    `to_return_px`, (H, W), is the distance to the nearest return that was fed.
+    """
+    masks, above = {}, -1.0
+    for region, limit in RETURN_DISTANCES.items():
+        masks[region] = (to_return_px > above) & (to_return_px <= limit)
+        above = limit
+    return masks
+
+
+def distance_px(mask: NDArray[np.bool_]) -> NDArray[np.float32]:
+    """Return the distance of every pixel to the nearest of the mask; infinite if it is empty."""
+    if not mask.any():  # OpenCV's distance would be finite
+        return np.full(mask.shape, np.inf, np.float32)
+    return np.asarray(
+        cv2.distanceTransform((~mask).astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
+    )

@@ -5,8 +5,7 @@ from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from training.scores.depth_regions import RETURN_DISTANCES
-from training.scores.metrics import FARTHEST_M, RANGES_M
+from training.scores.metrics import FARTHEST_M, RANGES_M, RETURN_DISTANCES
 from training.scores.scoring import scored_classes
 
 if TYPE_CHECKING:
