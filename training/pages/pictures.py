@@ -1,6 +1,6 @@
 """Pictures of training inputs, and of a network's answers beside the ground truth."""
 
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping
 from typing import Any
 
 import cv2
@@ -50,7 +50,12 @@ def draw_pictures(
             overlay.draw(sample.rgb, answer, widest=_WIDEST)
             for answer in (predict(sample.rgb, frame.fed, sample.focal_length_px), truth)
         ]
-        yield sample.name, np.ascontiguousarray(_side_by_side(drawn)[..., ::-1])
+        height = max(picture.shape[0] for picture in drawn)
+        padded = [
+            cv2.copyMakeBorder(picture, 0, height - picture.shape[0], 0, 0, cv2.BORDER_CONSTANT)
+            for picture in drawn
+        ]
+        yield sample.name, np.ascontiguousarray(cv2.hconcat(padded)[..., ::-1], np.uint8)
 
 
 def _labelled(
@@ -105,12 +110,3 @@ def enlarge_returns(depth: NDArray[np.float32], side: int) -> NDArray[np.float32
     nearness = np.divide(1, depth, out=np.zeros_like(depth), where=depth > 0)
     nearness = np.asarray(cv2.dilate(nearness, np.ones((side, side), np.uint8)))
     return np.divide(1, nearness, out=np.zeros_like(depth), where=nearness > 0)
-
-
-def _side_by_side(pictures: Sequence[NDArray[np.uint8]]) -> NDArray[np.uint8]:
-    height = max(picture.shape[0] for picture in pictures)
-    padded = [
-        cv2.copyMakeBorder(picture, 0, height - picture.shape[0], 0, 0, cv2.BORDER_CONSTANT)
-        for picture in pictures
-    ]
-    return cv2.hconcat(padded)  # type: ignore[return-value]

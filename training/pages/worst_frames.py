@@ -160,10 +160,9 @@ def class_colors(classes: ScoredClasses) -> tuple[ClassInfo, ...]:
     found = []
     for at, name in enumerate(classes.names):
         color = known.get(name.lower(), (0, 0, 0))
-        found.append(ClassInfo(name, color if any(color) else _hue(_GOLDEN * at % 1)))
+        if not any(color):
+            parts = colorsys.hsv_to_rgb(_GOLDEN * at % 1, 0.65, 0.9)
+            red, green, blue = (round(255 * part) for part in parts)
+            color = red, green, blue
+        found.append(ClassInfo(name, color))
     return tuple(found)
-
-
-def _hue(hue: float) -> tuple[int, int, int]:
-    red, green, blue = (round(255 * part) for part in colorsys.hsv_to_rgb(hue, 0.65, 0.9))
-    return red, green, blue

@@ -47,7 +47,10 @@ class ScoreTable:
         `best` is "SET/SCORE", or "" for the first set's miou or, without labels, mae_m.
         OutputError if the file cannot be written.
         """
-        name, figure = _choose(scores, best)
+        name, _, figure = best.rpartition("/")
+        if not best:  # there is no figure if the first set has neither labels nor depth
+            name = next(iter(scores))
+            figure = next((key for key in ("miou", "mae_m") if key in scores[name]), "")
         before = [
             float(row[figure]) for row in self._rows if row["set"] == name and row.get(figure)
         ]
@@ -111,12 +114,3 @@ class ScoreTable:
 def _is_error(figure: str) -> bool:
     """Whether a score is an error: the smaller the better. Of "SET/SCORE" the score counts."""
     return figure.rpartition("/")[2].startswith(_ERRORS)
-
-
-def _choose(scores: Mapping[str, Mapping[str, float]], best: str) -> tuple[str, str]:
-    """Return set and score; the score is empty if the first set has neither labels nor depth."""
-    if best:
-        name, _, figure = best.rpartition("/")
-        return name, figure
-    name = next(iter(scores))
-    return name, next((figure for figure in ("miou", "mae_m") if figure in scores[name]), "")

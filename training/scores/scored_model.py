@@ -71,30 +71,28 @@ def open_network(
 def open_exported(
     path: Path, *, device: str = "cpu", threads: int = 2, size: NetworkSize = None
 ) -> Iterator[ScoredModel]:
-    """Open an exported model with the engine, and close it at the end; see `Predictor`."""
+    """Open an exported model with the engine, and close it at the end; see `Predictor`.
+
+    An invalid answer is an SSDNetError.
+    """
     place = parse_device(device)
     with Predictor(
         path, provider=place.type, device_id=place.index or 0, size=size, threads=threads
     ) as predictor:
         contract, heads = predictor.contract, {*predictor.heads}
+
+        def predict(
+            rgb: NDArray[np.uint8], sparse_depth: NDArray[np.float32], focal_length_px: float | None
+        ) -> HeadMaps:
+            answer = predictor.predict(rgb, sparse_depth, focal_length_px=focal_length_px)
+            if not answer.valid:
+                raise SSDNetError(f"the model's answer is invalid: {', '.join(answer.degraded)}")
+            return HeadMaps(**{h: v for h, v in answer.heads.items() if not HEADS[h].per_class})
+
         table = trained_classes(contract.classes, TrainingFacts.from_dict(contract.training))
         yield ScoredModel(
-            engine_predict(predictor),
+            predict,
             f"onnxruntime on {place.type}",
             table if {"semantic", "boundary"} & heads else (),
             contract.canonical_focal_px is not None and "depth" in heads,
         )
-
-
-def engine_predict(predictor: Predictor) -> Predict:
-    """Return the engine as a predictor; an invalid answer is an SSDNetError."""
-
-    def predict(
-        rgb: NDArray[np.uint8], sparse_depth: NDArray[np.float32], focal_length_px: float | None
-    ) -> HeadMaps:
-        prediction = predictor.predict(rgb, sparse_depth, focal_length_px=focal_length_px)
-        if not prediction.valid:
-            raise SSDNetError(f"the model's answer is invalid: {', '.join(prediction.degraded)}")
-        return HeadMaps(**{h: v for h, v in prediction.heads.items() if not HEADS[h].per_class})
-
-    return predict
