@@ -144,3 +144,21 @@ def test_what_a_recipe_leaves_out_comes_from_the_training_of_its_first_weights(r
     assert (recipe["optimizer"]["name"], recipe["optimizer"]["learning_rate"]) == ("sgd", 2e-3)
     other = SHORT + "[model]\nname = 'ssdnet-small'\n"
     assert line not in run(*init, "--dry-run", recipe=other, out="fourth", code=1).stderr
+
+
+@pytest.mark.parametrize(("arguments", "line"), [
+    (
+        ["--adapt", "a drive.mcap", "--out", "rig", "--points", "scans"],
+        "--adapt is a command of its own: ssdnet-adapt 'a drive.mcap' --out rig --points scans",
+    ),
+    (
+        ["--init", "ssdnet-lite", "--labels", "l", "--images=i", "--out", "r"],
+        "--images is a command of its own: "
+        "ssdnet-finetune --init ssdnet-lite --labels l i --out r",
+    ),
+])  # fmt: skip
+def test_an_old_spelling_says_the_new_one(arguments, line):
+    """For an option that the command took in earlier releases, a line names the new command."""
+    result = CliRunner().invoke(app, arguments)
+    assert result.exit_code == 2
+    assert result.output.splitlines() == [f"error: {line}"]
