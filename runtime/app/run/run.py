@@ -1,9 +1,10 @@
 """Running a model over a stream of frames, and writing the requested outputs."""
 
 import contextlib
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 
-from runtime.app.run.depth_check import depth_scale_of, find_header_faults, read_first_frames
+import numpy as np
+
 from runtime.app.run.engine_facts import engine_facts, running_providers
 from runtime.app.run.options import CLOUD, KINDS, SUFFIXES, RunOptions, saved_heads
 from runtime.app.run.outages import Timeline, find_outages
@@ -19,19 +20,24 @@ from runtime.app.run.pipeline import (
 )
 from runtime.app.run.run_report import RUN_FILES, RunReport, group_reasons, size_text, write_report
 from runtime.base.errors import InputError, SSDNetError
-from runtime.checks.catalog import NO_MATCH
-from runtime.checks.finding import Finding
-from runtime.checks.judge import NO_RETURNS
+from runtime.checks.catalog import LENS_ENDS, NO_MATCH
+from runtime.checks.finding import Finding, Severity
+from runtime.checks.judge import FIRST_FRAMES, NO_RETURNS
 from runtime.command.process import stop_requested
 from runtime.engine.predictor import Predictor
 from runtime.engine.preprocess import check_sparse_depth
 from runtime.files.own_folder import locked_folder, make_own_folder
+from runtime.geometry.lens import EQUIDISTANT, cache_key, rays
+from runtime.recordings.images import is_in_metres
 from runtime.recordings.listing import ListedFrame
 from runtime.recordings.source import Source
 from runtime.streams.answerer import Answerer, known_focal_length_px
+from runtime.streams.frame import Frame
 from runtime.streams.frame_memory import FrameMemory
+from runtime.streams.messages import Sensor
 from runtime.streams.stream_checks import StreamChecks
 
+_LEAST_UNSEEN = 0.02  # share of the pixels; the corners of a correct calibration may lie beyond it
 _MOST_UNREADABLE = 20  # a stream is refused if none of these frames can be predicted
 
 # Called before the first frame with a text about the run and the number of frames. Returns a
@@ -122,14 +128,14 @@ class _CameraStream:
             check_depth="depth" in predictor.heads,
             has_lidar=source.has_lidar(self._frames),
             accept=options.accepted,
-            depth_scale=depth_scale_of(source, listed),
+            depth_scale=_depth_scale_of(source, listed),
             focal_px=focal_px if has_scale else None,
         )
         self._memory = FrameMemory.of(0.0 if options.shard else options.memory)
         self._answerer = Answerer(predictor, self._checks, memory=self._memory)
         # The first frames of the whole list are judged, so that all shards have the same findings.
-        self._answerer.begin(read_first_frames(listed, self._read))
-        faults = find_header_faults(source, listed, size)
+        self._answerer.begin(_read_first_frames(listed, self._read))
+        faults = _header_faults(source, listed, size)
         self._faults = [each for each in faults if each.name not in options.accepted]
 
     def _about(self) -> str:
@@ -238,6 +244,53 @@ def _answered_kinds(
     if are_all:  # also of heads that another package registers
         kinds += [k for k, head in heads.items() if k not in SUFFIXES and head in predictor.heads]
     return tuple(dict.fromkeys(kinds))
+
+
+def _header_faults(
+    source: Source, listed: Sequence[ListedFrame], size: tuple[int, int] | None
+) -> Iterator[Finding]:
+    """What calibration and stamps show without any prediction."""
+    calibration = source.calibration
+    lens = calibration.lens_model if calibration else None
+    # A fisheye lens may see less than its images hold.
+    if calibration and lens and lens.model != EQUIDISTANT and size:
+        has_no_ray = np.isnan(rays(lens, cache_key(calibration.intrinsics), size)).any(axis=-1)
+        if (unseen := float(has_no_ray.mean())) >= _LEAST_UNSEEN:
+            text = (
+                f"the lens of the calibration, {lens.model} {list(lens.coefficients)}, ends inside "
+                f"the images: {unseen:.0%} of the pixels have no ray, and get no return. Check the "
+                "coefficients and their order"
+            )
+            yield Finding(LENS_ENDS, text, Severity.WARNING)
+    has_depth = any(reason.startswith(f"{Sensor.DEPTH}:") for reason in source.left_out)
+    if has_depth and all(each.depth is None for each in listed):
+        text = (
+            "no image matches the time of a scan or depth map: check that both have time stamps of "
+            "the same recording and clock, or give a larger --max-skew-ms"
+        )
+        yield Finding(NO_MATCH, text, Severity.FAULT)
+
+
+def _read_first_frames(listed: Sequence[ListedFrame], read: ReadFrame) -> list[Frame]:
+    """Return the first frames that have depth and can be read; they are kept for the run."""
+    frames = []
+    for each in listed[:FIRST_FRAMES]:
+        with contextlib.suppress(SSDNetError):  # the run itself will report the error
+            frame, _ = read(each, keep=True)
+            check_sparse_depth(frame.sparse_depth, size=frame.size)
+            if each.depth is not None:
+                frames.append(frame)
+    return frames
+
+
+def _depth_scale_of(source: Source, listed: Sequence[ListedFrame]) -> float | None:
+    """Return the units per metre of the first depth maps; None if they are in metres."""
+    if source.depth_scale is not None:
+        with contextlib.suppress(SSDNetError):  # the run itself will report the error
+            first = [each.depth for each in listed[:FIRST_FRAMES] if each.depth is not None]
+            if any(map(is_in_metres, first)):
+                return None
+    return source.depth_scale
 
 
 def _warm_up(

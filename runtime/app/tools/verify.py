@@ -154,23 +154,17 @@ def main(**given: Any) -> None:
         raise typer.Exit(0 if report.passed else DIFFERS)
 
 
-def _origin(report: VerifyReport) -> str:
-    """What made the reference."""
-    reference = report.reference
-    software = reference.software
-    by = f"{reference.settings.made_by} {software.get('ssdnet', '')}".strip()
-    with_ = f", ONNX Runtime {software['onnxruntime']}" if "onnxruntime" in software else ""
-    return f"{by} on {reference.settings.provider}{with_}"
-
-
 def _table(report: VerifyReport, predictor: Predictor) -> str:
     """One line per limit with the worst value over all frames, then one line per other fault."""
     reference, frames = report.reference, len(report.reference.frames)
     contract, is_same = predictor.contract, predictor.model.sha256 == reference.model_sha256
     now = f"now {contract.model_name} {contract.precision} sha256:{predictor.model.sha256[:12]}"
+    software = reference.software
+    by = f"{reference.settings.made_by} {software.get('ssdnet', '')}".strip()
+    runtime = f", ONNX Runtime {software['onnxruntime']}" if "onnxruntime" in software else ""
     lines = [
-        f"{frames} frames: {reference.model_name} sha256:{reference.model_sha256[:12]} by "
-        f"{_origin(report)}",
+        f"{frames} frames: {reference.model_name} sha256:{reference.model_sha256[:12]} by {by} on "
+        f"{reference.settings.provider}{runtime}",
         f"{now} on {predictor.provider}, {'' if is_same else 'NOT '}the recorded one",
         "",
         f"{'head':18}{'figure':14}{'worst':>12}{'limit':>12}{'frames beyond':>15}  worst frame",
