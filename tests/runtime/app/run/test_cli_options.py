@@ -11,6 +11,7 @@ from typer.testing import CliRunner
 
 from cli_runs import files_in, rows_of
 from runtime.app.run.cli import app
+from runtime.app.run.options import KINDS, RunOptions
 
 
 @pytest.mark.parametrize(("size", "runs_at"), [("auto", (40, 53)), ("33x70", (33, 70))])
@@ -60,6 +61,8 @@ def test_the_model_is_the_one_that_was_asked_for(tmp_path, run):
     ("--demo --depth somewhere", "give one of PATH, --demo, --rgb (with --depth or --points)"),
     ("somewhere --rgb somewhere", "give one of PATH, --demo, --rgb"),
     ("--demo --save depth,none", "--save is none, or some of all, semantic, depth"),
+    ("--demo --save all,clouds", "--save is none, or some of all, semantic, depth"),
+    ("--rgb images --depth depth --rectify", "--rectify goes with --points"),
     ("--demo --overlay-width 1", "'--overlay-width': "),
     ("--demo --size large", "size 'large': neither a keyword nor a number of pixels; expected"),
     ("--source folders:somewhere,depth_scale=0", "depth_scale must be units per metre, 0.001 to"),
@@ -78,6 +81,15 @@ def test_wrong_usage_is_exit_code_2_and_names_the_option(given, said, tmp_path, 
     result = CliRunner().invoke(app, given.split())
     assert (result.exit_code, list(tmp_path.iterdir())) == (2, [])
     assert said in " ".join(result.output.split())
+
+
+@pytest.mark.parametrize(("texts", "kinds"), [
+    (["all,cloud"], {*KINDS, "cloud"}), (["cloud", "all"], {*KINDS, "cloud"}),
+    (["all"], set(KINDS)), (["none"], set()), (["depth", "cloud"], {"depth", "cloud"}),
+    (None, set(KINDS)),
+])  # fmt: skip
+def test_all_adds_to_other_kinds(texts, kinds):
+    assert set(RunOptions(demo=True, save=texts).kinds) == kinds
 
 
 def test_the_focal_length_reaches_the_model(tmp_path, run, model_file, contract):

@@ -3,7 +3,7 @@
 import pytest
 
 from outcomes import outcome
-from runtime.app.run.outages import Outage, Timeline, find_outages
+from runtime.app.run.outages import Timeline, find_outages
 from runtime.app.run.outputs.charts import Axis, group_frames, latency_chart, mark_strip
 from runtime.streams.messages import Sensor
 
@@ -83,9 +83,3 @@ def test_a_chart_has_seconds_and_leaves_gaps_open():
     axis = Axis.of(20, None)
     chart = latency_chart(group_frames(records, axis), axis, deadline_ms=None)
     assert chart["unit"] == "frame"
-
-
-def test_an_outage_of_a_camera_of_several_names_it():
-    assert (
-        Outage("camera_silent", 1.0, 2.0, camera="left").text == "left: camera silent 1.0 to 2.0 s"
-    )

@@ -2,11 +2,16 @@
 
 import csv
 import dataclasses
+import json
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
+import runtime
 from outcomes import outcome
+from runtime import Predictor
+from runtime.app.run.engine_facts import engine_facts
 from runtime.app.run.frame_record import INVALID, OK, SKIPPED
 from runtime.app.run.options import RunOptions, UsageError
 from runtime.app.run.outages import Outage
@@ -14,6 +19,7 @@ from runtime.app.run.pipeline import StreamResult
 from runtime.app.run.run_report import RunReport, describe_run, frames_csv
 from runtime.checks.finding import Finding, Severity
 from runtime.checks.judge import Judgement
+from runtime.command.machine import MachineFacts
 from runtime.contract.degraded import IMPLAUSIBLE_POSES
 from runtime.streams.statistics import MissedDeadlines
 
@@ -21,9 +27,6 @@ from runtime.streams.statistics import MissedDeadlines
 @pytest.fixture
 def report_of(model_file):
     """Make the report of these records."""
-    from runtime import Predictor
-    from runtime.app.run.engine_facts import engine_facts
-
     with Predictor(model_file(), warmup=0) as predictor:
         engine = engine_facts(predictor)
 
@@ -134,12 +137,30 @@ def test_the_report_of_a_rig_adds_up_those_of_its_cameras(report_of):
     )
     mirrored = Finding("w_first", "mirrored", Severity.FAULT, {}, IMPLAUSIBLE_POSES)
     judgement = Judgement(tested=("turned",), frames=3)
-    second = replace(second, findings=(mirrored,), judgements={"": judgement})
+    outages = (Outage("camera_silent", 1.0, 2.0),)
+    second = replace(second, findings=(mirrored,), judgements={"": judgement}, outages=outages)
     rig = RunReport.of_rig({"a": first, "b": second}, first.options, interrupted=False)
     both = rig.document()
     assert both["frames"]["implausible_poses"] == "b: mirrored"  # only the second camera showed it
     assert "warning: b: mirrored" in describe_run(rig)
     assert both["frames"]["findings"][0]["says"] == "b: mirrored"
     assert both["frames"]["readings"]["b"]["tested"] == ("turned",)
+    assert both["outages"][0]["text"] == "b: camera silent 1.0 to 2.0 s"
     assert both["depth_png"]["beyond"] == {"depth": 2468}
     assert (both["wall_s"], both["frames_per_second"]) == (2.0, 2.0)
+
+
+def test_the_facts_are_those_of_the_predictor(model_file, contract):
+    with Predictor(model_file(), size=40, threads=1, warmup=1) as predictor:
+        facts = engine_facts(predictor)
+        assert facts["ssdnet"] == runtime.__version__
+        model, provider = facts["model"], facts["provider"]
+        assert (model["name"], model["sha256"]) == (contract.model_name, predictor.model.sha256)
+        assert (model["size_asked"], model["heads"]) == (40, predictor.heads)
+        assert (provider["asked"], provider["threads"]) == ("cpu", 1)
+        assert facts["first_inference_ms"] > 0
+    machine = {**facts["machine"], "cpu": "Fast One", "instruction_sets": ("AVX2", "VNNI")}
+    assert MachineFacts(**machine).processor == "Fast One (AVX2, VNNI)"
+    assert facts["libraries"]["numpy"] == np.__version__
+    names = {"ssdnet", "model", "provider", "machine", "libraries", "load_ms", "first_inference_ms"}
+    assert json.loads(json.dumps(facts)).keys() == names

@@ -113,23 +113,14 @@ def test_answers_of_another_shape_are_reported_once(recording):
     assert expected in result.output.splitlines()
 
 
-def test_a_tolerance_may_be_given_a_head(recording):
-    spoil(recording, 1, "depth", lambda values: values + np.float32(0.25))
-    assert verify(recording, "--tolerance", "boundary=1", "--tolerance", "depth=0.3").exit_code == 0
-    assert verify(recording, "--tolerance", "depth=0.2").exit_code == 4
-    assert verify(recording, "--tolerance", "speed=1").exit_code == 1
-    assert verify(recording, "--tolerance", "depth").exit_code == 2
-    assert verify(recording, "--tolerance", "depth=-1").exit_code == 2
-    assert verify(recording, "--tolerance", "depth=inf").exit_code == 2
-
-
 @pytest.mark.parametrize(("limits", "code"), [
     (["depth.mean=0.03"], 0), (["depth.mean=0.02"], 4), (["depth.p99=0.001"], 0),
     (["depth.p99=0.001", "depth.max=1"], 4), (["depth.p99.9=9", "depth.max=9"], 0),
     (["semantic.equal=1", "depth=9"], 0), (["depth.equal=1"], 2), (["semantic.mean=1"], 2),
-    (["depth.p101=1"], 2), (["depth.median=1"], 2),
+    (["depth.p101=1"], 2), (["depth.median=1"], 2), (["boundary=1"], 4), (["speed=1"], 1),
+    (["depth"], 2), (["depth=-1"], 2), (["depth=inf"], 2),
 ])  # fmt: skip
-def test_a_mean_and_percentiles_are_limited_alone(recording, limits, code):
+def test_a_tolerance_limits_a_head_or_one_of_its_figures(recording, limits, code):
     def change(values):
         values[:1, :10] += np.float32(8)  # of 3072 pixels: 0.026 m in the mean
         return values
