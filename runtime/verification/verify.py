@@ -10,14 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from runtime.base.errors import InferenceError, InputError
-from runtime.contract.agreement import (
-    compare,
-    less_exact,
-    limited_figure,
-    reference_limits,
-    within,
-    worst,
-)
+from runtime.contract import agreement
 from runtime.contract.contract import NO_CLASS, ClassInfo, Contract
 from runtime.contract.heads import HEADS, Unit
 from runtime.contract.model_file import load_model_file
@@ -132,7 +125,9 @@ def verify(
         lookup = _class_lookup(predictor.contract.classes, recorded.classes)
         limits = _limits_for(predictor.contract, recorded, reference)
     for head, given in tolerances.items():
-        limits[head] = {name or limited_figure(head): value for name, value in given.items()}
+        limits[head] = {
+            name or agreement.limited_figure(head): value for name, value in given.items()
+        }
     warm: set[tuple[int, ...]] = set()
     of_heads: dict[str, list[tuple[str, Mapping[str, float]]]] = {head: [] for head in limits}
     of_texts: dict[str, list[str]] = {}  # text -> names of the frames
@@ -144,7 +139,9 @@ def verify(
             of_heads[head].append((frame.name, each))
         for text in texts:
             of_texts.setdefault(text, []).append(frame.name)
-        failed += bool(texts) or any(not within(figures[head], limits[head]) for head in figures)
+        failed += bool(texts) or any(
+            not agreement.within(figures[head], limits[head]) for head in figures
+        )
     recorded_ms = [each.predict_ms for each in reference.frames if each.predict_ms is not None]
     median_ms = statistics.median(times_ms) if times_ms else None
     slowdown = None
@@ -170,10 +167,10 @@ def _worst_figure(
     """Return the worst value of a figure; `figures_by_frame` are those of the head."""
     if not figures_by_frame:
         return WorstFigure(head, name, None, limit, None, 0)
-    value = worst([figures for _, figures in figures_by_frame])[name]
+    value = agreement.worst([figures for _, figures in figures_by_frame])[name]
     # A NaN does not equal itself.
     frame = next(f for f, each in figures_by_frame if each[name] == value or math.isnan(each[name]))
-    beyond = sum(not within(each, {name: limit}) for _, each in figures_by_frame)
+    beyond = sum(not agreement.within(each, {name: limit}) for _, each in figures_by_frame)
     return WorstFigure(head, name, value, limit, frame, beyond)
 
 
@@ -182,9 +179,10 @@ def _limits_for(now: Contract, recorded: Contract, reference: Reference) -> dict
     if now.checkpoint_sha256 != recorded.checkpoint_sha256:
         return dict(reference.limits)
     from_torch = reference.settings.from_torch
-    coarse = less_exact(recorded, now)
+    coarse = agreement.less_exact(recorded, now)
     return {
-        head: reference_limits(head, coarse, from_torch=from_torch) for head in reference.limits
+        head: agreement.reference_limits(head, coarse, from_torch=from_torch)
+        for head in reference.limits
     }
 
 
@@ -272,5 +270,5 @@ def _compare_frame(
             faults.append(f"{head}: shape {answer.shape}, expected {expected.shape}")
             continue
         answer = _by_recorded_id(head, answer, lookup)
-        figures[head] = compare(head, answer, expected, limits[head])
+        figures[head] = agreement.compare(head, answer, expected, limits[head])
     return figures, faults

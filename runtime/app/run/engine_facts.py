@@ -3,18 +3,16 @@
 import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import runtime
 from runtime.command.machine import machine_facts
-
-if TYPE_CHECKING:
-    from runtime.engine.predictor import Predictor
+from runtime.engine.predictor import Predictor
 
 _LIBRARIES = ("onnxruntime", "cv2", "numpy")  # libraries that a predictor loads
 
 
-def engine_facts(predictor: "Predictor") -> dict[str, Any]:
+def engine_facts(predictor: Predictor) -> dict[str, Any]:
     """Return what a report states about a predictor and this machine, ready for JSON.
 
     Returns:

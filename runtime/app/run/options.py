@@ -28,16 +28,8 @@ from runtime.engine.bundled_models import DEFAULT_MODEL, list_bundled_models
 from runtime.engine.predictor import Predictor
 from runtime.geometry.odometry import ODOMETRY
 from runtime.geometry.rig import LONGEST_MEMORY_S
+from runtime.recordings import registry
 from runtime.recordings.bundled_stream import BUNDLED_FOCAL_LENGTH_PX, bundled_stream
-from runtime.recordings.registry import (
-    SOURCE_KEYS,
-    SOURCES,
-    SourcePath,
-    choose_cameras,
-    detect_source,
-    keys_of,
-    parse_source,
-)
 from runtime.recordings.scan import SCAN_SUFFIXES
 from runtime.recordings.source import Source
 from runtime.streams.memory import DEFAULT_MEMORY_S
@@ -67,7 +59,8 @@ _OUT = Path("ssdnet-run")
 _input, _outputs, _model, _timing = map(option_group, ("Input", "Outputs", "Model", "Timing"))
 
 
-_KEYS = "; ".join(f"{kind} ({', '.join(keys_of(kind))})" for kind in SOURCES)
+_ACCEPTED = "; ".join(kind.accepted for kind in registry.SOURCES.values())
+_KEYS = "; ".join(f"{kind} ({', '.join(registry.keys_of(kind))})" for kind in registry.SOURCES)
 
 
 @dataclass(frozen=True)
@@ -92,8 +85,7 @@ class RunOptions:
     """
 
     path: Path | None = _input(
-        f"Recording to read: {'; '.join(kind.accepted for kind in SOURCES.values())}. The kind is "
-        "found from the files.",
+        f"Recording to read: {_ACCEPTED}. The kind is found from the files.",
         kind=typer.Argument,
         metavar="PATH",
     )
@@ -269,7 +261,7 @@ class RunOptions:
     kinds: tuple[str, ...] = dataclasses.field(init=False)
     network_size: NetworkSize = dataclasses.field(init=False)
     part: slice = dataclasses.field(init=False)
-    source_path: SourcePath = dataclasses.field(init=False)
+    source_path: registry.SourcePath = dataclasses.field(init=False)
     open_cameras: Callable[[], dict[str, Source]] = dataclasses.field(init=False)
 
     def __post_init__(self) -> None:
@@ -339,24 +331,28 @@ class RunOptions:
             break
         return dataclasses.replace(self, out=folder)
 
-    def _find_source(self) -> SourcePath:
+    def _find_source(self) -> registry.SourcePath:
         if self.path is not None:
-            return detect_source(self.path)
+            return registry.detect_source(self.path)
         if self.source is not None:
             with _usage_errors():
-                return parse_source(self.source)
-        return SourcePath("folders", bundled_stream()[0] if self.demo else Path(self.rgb or ""), {})
+                return registry.parse_source(self.source)
+        return registry.SourcePath(
+            "folders", bundled_stream()[0] if self.demo else Path(self.rgb or ""), {}
+        )
 
-    def _choose_cameras(self, source: SourcePath) -> Callable[[], dict[str, Source]]:
-        names = {name for source in SOURCES.values() for name in source.options}
-        source_options = {name: getattr(self, name) for name in names - SOURCE_KEYS.keys()}
+    def _choose_cameras(self, source: registry.SourcePath) -> Callable[[], dict[str, Source]]:
+        names = {name for source in registry.SOURCES.values() for name in source.options}
+        source_options = {name: getattr(self, name) for name in names - registry.SOURCE_KEYS.keys()}
         if self.demo:
             source_options["depth"] = bundled_stream()[1]
         rig_options = {name: getattr(self, name) for name in _RIG_OPTIONS}
         known = {name: value for name, value in rig_options.items() if value is not None}
         with _usage_errors():
             rig = dataclasses.replace(source.rig, **known)
-            return choose_cameras(source.kind, source.path, rig, **source_options, **source.keys)
+            return registry.choose_cameras(
+                source.kind, source.path, rig, **source_options, **source.keys
+            )
 
     def open_predictor(self) -> Predictor:
         """Open the model, which is not warmed up."""

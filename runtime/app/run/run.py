@@ -5,19 +5,12 @@ from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 
+from runtime.app.run import pipeline
 from runtime.app.run.engine_facts import engine_facts, running_providers
 from runtime.app.run.options import CLOUD, KINDS, SUFFIXES, RunOptions, saved_heads
 from runtime.app.run.outages import Timeline, find_outages
 from runtime.app.run.outputs.registry import open_outputs, require_outputs
 from runtime.app.run.outputs.run_context import RunContext
-from runtime.app.run.pipeline import (
-    OnRecord,
-    ReadFrame,
-    StreamResult,
-    StreamRun,
-    dedicate_process,
-    frame_reader,
-)
 from runtime.app.run.run_report import RUN_FILES, RunReport, group_reasons, size_text, write_report
 from runtime.base.errors import InputError, SSDNetError
 from runtime.checks.catalog import LENS_ENDS, NO_MATCH
@@ -42,7 +35,7 @@ _MOST_UNREADABLE = 20  # a stream is refused if none of these frames can be pred
 
 # Called before the first frame with a text about the run and the number of frames. Returns a
 # function that is called with the result of each frame.
-OnStart = Callable[[str, int], OnRecord]
+OnStart = Callable[[str, int], pipeline.OnRecord]
 
 
 def run(
@@ -65,7 +58,7 @@ def run(
         SSDNetError: if the source, the model or an output cannot be opened, or if there is no
             space.
     """
-    dedicate_process()
+    pipeline.dedicate_process()
     with contextlib.ExitStack() as stack:
         cameras = options.open_cameras()
         for source in cameras.values():
@@ -118,7 +111,7 @@ class _CameraStream:
             source.rectify_images()
         listed = source.list_frames(limit=options.limit)
         self._source, self._predictor = source, predictor
-        self._frames, self._read = listed[options.part], frame_reader(source)
+        self._frames, self._read = listed[options.part], pipeline.frame_reader(source)
         self._focal_px = focal_px = known_focal_length_px(predictor, source.calibration)
         self._kinds = _answered_kinds(options, predictor, focal_px)
         self._size = size = _warm_up(predictor, self._frames, self._read, runs=options.warmup)
@@ -173,12 +166,14 @@ class _CameraStream:
         with open_outputs(context) as outputs:
             with self._source.collecting():
                 on_record = on_start(about, len(names))
-                stream = StreamRun(self._answerer, self._read, options, outputs, on_record, stop)
+                stream = pipeline.StreamRun(
+                    self._answerer, self._read, options, outputs, on_record, stop
+                )
                 result = stream.run(self._frames)
             context.report = self._report(context, result)
         return context.report
 
-    def _report(self, run: RunContext, result: StreamResult) -> RunReport:
+    def _report(self, run: RunContext, result: pipeline.StreamResult) -> RunReport:
         answers = [each.prediction for each in result.records if each.prediction]
         # The LiDAR may have started later.
         cleared = (NO_MATCH, NO_RETURNS) if any(each.depth_returns for each in answers) else ()
@@ -271,7 +266,7 @@ def _header_faults(
         yield Finding(NO_MATCH, text, Severity.FAULT)
 
 
-def _read_first_frames(listed: Sequence[ListedFrame], read: ReadFrame) -> list[Frame]:
+def _read_first_frames(listed: Sequence[ListedFrame], read: pipeline.ReadFrame) -> list[Frame]:
     """Return the first frames that have depth and can be read; they are kept for the run."""
     frames = []
     for each in listed[:FIRST_FRAMES]:
@@ -294,7 +289,7 @@ def _depth_scale_of(source: Source, listed: Sequence[ListedFrame]) -> float | No
 
 
 def _warm_up(
-    predictor: Predictor, frames: Sequence[ListedFrame], read: ReadFrame, *, runs: int
+    predictor: Predictor, frames: Sequence[ListedFrame], read: pipeline.ReadFrame, *, runs: int
 ) -> tuple[int, int] | None:
     """Warm up at the size of the first frame that can be predicted, and return that size.
 

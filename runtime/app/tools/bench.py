@@ -23,6 +23,7 @@ import typer
 
 from runtime.app.tools.bench_worker import OpenedModel, open_for_timing, time_model
 from runtime.base.arguments import shown
+from runtime.command import process
 from runtime.command.machine import machine_facts
 from runtime.command.options import (
     Provider,
@@ -30,14 +31,6 @@ from runtime.command.options import (
     option_group,
     read_options,
     with_options,
-)
-from runtime.command.process import (
-    ERROR,
-    INTERRUPTED,
-    leave_signals_to_parent,
-    print_result,
-    reported_errors,
-    stop_requested,
 )
 from runtime.engine.cores import available_cores
 from runtime.engine.session import import_onnxruntime
@@ -100,12 +93,12 @@ app = typer.Typer(rich_markup_mode=None, pretty_exceptions_enable=False)
 @with_options(BenchOptions)
 def main(**given: Any) -> None:
     """Measure latency, memory and load time of models side by side."""
-    with reported_errors("cpu"):
+    with process.reported_errors("cpu"):
         options = read_options(BenchOptions, given)
         machine, groups, interrupted = machine_facts(), list[list[BenchRow]](), False
         onnxruntime = import_onnxruntime().__version__
         try:
-            with stop_requested(interrupts=True):
+            with process.stop_requested(interrupts=True):
                 threads = options.threads or [available_cores()]
                 for case in product(options.size, threads, options.batch):
                     groups.append([BenchRow(model, *case) for model in options.models])
@@ -117,10 +110,12 @@ def main(**given: Any) -> None:
             f"at the start, onnxruntime {onnxruntime} on {options.provider}, Python "
             f"{machine.python}; {options.rounds} runs in turn{', interrupted' * interrupted}"
         )
-        print_result("\n\n".join([about, *map(_table, groups)]))
+        process.print_result("\n\n".join([about, *map(_table, groups)]))
         if interrupted:
-            raise typer.Exit(INTERRUPTED)
-        raise typer.Exit(ERROR if any(row.error for group in groups for row in group) else 0)
+            raise typer.Exit(process.INTERRUPTED)
+        raise typer.Exit(
+            process.ERROR if any(row.error for group in groups for row in group) else 0
+        )
 
 
 @dataclass
@@ -142,7 +137,7 @@ def _measure(group: Sequence[BenchRow], options: BenchOptions) -> None:
         workers = []
         for row in group:
             executor = ProcessPoolExecutor(
-                1, multiprocessing.get_context("spawn"), initializer=leave_signals_to_parent
+                1, multiprocessing.get_context("spawn"), initializer=process.leave_signals_to_parent
             )
             workers.append((row, stack.enter_context(executor)))
             case = row.model, row.size, row.batch, row.threads, options.provider.value
