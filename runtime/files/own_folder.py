@@ -144,9 +144,9 @@ def _require_own(path: Path, files: Iterable[Path], earlier: set[Path]) -> None:
 
 def _require_own_folder(path: Path, *, overwrite: bool) -> None:
     """Raise OutputError if a folder exists there that may not be replaced."""
-    require_replaceable(path, overwrite=overwrite)
     if not os.path.lexists(path):
         return
+    require_replaceable(path, overwrite=overwrite)
     if path.is_symlink() or not path.is_dir():
         raise OutputError(f"{path} is a link or a file: choose another name")
     entries = list(path.rglob("*"))
