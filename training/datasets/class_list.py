@@ -26,7 +26,7 @@ from training.datasets.class_mapping import IGNORED
 Color = tuple[int, int, int]
 
 _GAP = r"\s*[\s,:;]\s*"
-_RGB = rf"(\d+){_GAP}(\d+){_GAP}(\d+)"
+_RGB = _GAP.join(rf"(?P<{channel}>\d+)" for channel in ("red", "green", "blue"))
 # A line with a colour: of CVAT, whose colour may be empty, and with the colour first or last.
 _COLORED = (
     re.compile(rf"(?P<name>[^:]*):(?:{_RGB})?:[^:]*:[^:]*"),
@@ -110,11 +110,10 @@ def _read_lines(path: Path, text: str) -> Iterator[ListedClass]:
 
 
 def _with_color(path: Path, item: ListedClass, found: re.Match[str]) -> ListedClass:
-    named, channels = found["name"].strip(), [part for part in found.groups() if part is not None]
-    channels.remove(found["name"])
-    if not channels:
+    named = found["name"].strip()
+    if found.groupdict().get("red") is None:
         return replace(item, name=named)
-    red, green, blue = (int(channel[:9]) for channel in channels)
+    red, green, blue = (int(found[channel][:9]) for channel in ("red", "green", "blue"))
     if max(red, green, blue) > 255:
         raise InputError(
             f"{path}: line {item.line} has the colour {red}, {green}, {blue}; expected red, green "

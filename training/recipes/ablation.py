@@ -33,16 +33,18 @@ SSDNET = Recipe(
 )
 
 
-def _network(name: str) -> Recipe:
-    """Return the recipe with another network."""
-    return derive(SSDNET, model={"name": name})
-
-
 def _joint_weights(weight: float) -> Recipe:
     """Return the recipe with other weights of Eq. 8 and 11."""
     return derive(SSDNET, loss={"weights": {"semantic_boundary": weight, "semantic_depth": weight}})
 
 
+# Part of the network -> the description of the row with this part alone.
+_PARTS = {
+    "dep": "SSDNet_Dep: no semantic decoder; classes serve only to find the boundaries.",
+    "dep-d": "SSDNet_Dep_d: no semantic decoder, sparse depth alone as input.",
+    "dep-rgb": "SSDNet_Dep_rgb: no semantic decoder, RGB alone as input.",
+    "sem": "SSDNet_Sem: no depth decoder.",
+}
 # Row -> its description and recipe.
 ROWS = {
     "joint-weights-1": (
@@ -54,21 +56,12 @@ ROWS = {
         derive(SSDNET, loss={"class_weighting": "paper"}),
     ),
     "ssdnet": ("The full network of the ablation, on rendered scenes.", SSDNET),
-    "ssdnet-dep": (
-        "SSDNet_Dep: no semantic decoder; classes serve only to find the boundaries.",
-        _network("ssdnet-small-dep"),
-    ),
-    "ssdnet-dep-d": (
-        "SSDNet_Dep_d: no semantic decoder, sparse depth alone as input.",
-        _network("ssdnet-small-dep-d"),
-    ),
-    "ssdnet-dep-rgb": (
-        "SSDNet_Dep_rgb: no semantic decoder, RGB alone as input.",
-        _network("ssdnet-small-dep-rgb"),
-    ),
     "ssdnet-ind": (
         "SSDNet_ind: the full network without the joint losses, Eq. 8 and 11.",
         _joint_weights(0.0),
     ),
-    "ssdnet-sem": ("SSDNet_Sem: no depth decoder.", _network("ssdnet-small-sem")),
+    **{
+        f"ssdnet-{part}": (text, derive(SSDNET, model={"name": f"ssdnet-small-{part}"}))
+        for part, text in _PARTS.items()
+    },
 }

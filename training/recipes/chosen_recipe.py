@@ -45,16 +45,13 @@ def read_stages(
     """
     if text.endswith(".json"):
         document = read_document(Path(text))
-        if document.get("init") and init is None:
-            text_of = (
-                f"warning: {text}: the run began with {document['init']}: give its --init, too"
-            )
-            tqdm.write(text_of, file=sys.stderr)
+        if (began := document.get("init")) and init is None:
+            warning = f"warning: {text}: the run began with {began}: give its --init, too"
+            tqdm.write(warning, file=sys.stderr)
         return (Stage("", build_recipe(document["recipe"], text, changes)),)
     if text.endswith(".toml") or "/" in text or "\\" in text:
-        return (
-            Stage("", build_recipe(inherit_settings(read_toml(Path(text)), changes, init), text)),
-        )
+        table = inherit_settings(read_toml(Path(text)), changes, init)
+        return (Stage("", build_recipe(table, text)),)
     if text not in RECIPES:
         raise InputError(
             f"unknown recipe {text!r}; known: {', '.join(RECIPES)}: for a recipe of your own give "

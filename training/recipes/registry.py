@@ -24,7 +24,7 @@ def _described(recipe: ModuleType, stages: tuple[Stage, ...]) -> PackageRecipe:
 _SINGLE = {
     **paper.RECIPES,
     **{f"comparison-{task}": item for task, item in comparison.RECIPES.items()},
-    **{f"ablation-{row}": item for row, item in ablation.ROWS.items()},
+    **{f"ablation-{row}": item for row, item in sorted(ablation.ROWS.items())},
 }
 RECIPES: Mapping[str, PackageRecipe] = {
     "lite": _described(lite, lite.STAGES),

@@ -21,24 +21,22 @@ def mix(parts, **options):
     return Mixture(parts, **plain | options)
 
 
-class Numbered:
-    """Frames whose colour tells their number; no LiDAR."""
-
-    def __init__(self, length, offset):
-        self.length, self.offset = length, offset
-
-    def __len__(self):
-        return self.length
-
-    def __getitem__(self, index):
-        value = self.offset + index
-        rgb = np.full((40, 40, 3), value, np.uint8)
-        return Sample(make_frame(rgb, str(value)), {"semantic": np.zeros((40, 40), np.uint8)})
+def numbered(length, offset, noise=0):
+    """Frames whose colour tells their number, up to `noise` brighter; no LiDAR."""
+    images = [
+        offset + index + np.random.default_rng(index).integers(0, noise + 1, (40, 40, 3))
+        for index in range(length)
+    ]
+    labels = {"semantic": np.zeros((40, 40), np.uint8)}
+    return [
+        Sample(make_frame(image.astype(np.uint8), str(offset + index)), labels)
+        for index, image in enumerate(images)
+    ]
 
 
 def mixture(length=400, seed=0):
     config = AugmentConfig(crop=(32, 32))
-    parts = [MixturePart(Numbered(10, 0), 3.0, config), MixturePart(Numbered(20, 100), 1.0, config)]
+    parts = [MixturePart(numbered(10, 0), 3.0, config), MixturePart(numbered(20, 100), 1.0, config)]
     return mix(parts, length=length, seed=seed)
 
 
@@ -63,21 +61,14 @@ def test_proportions_and_passes():
         assert sorted(first[start : start + 10]) == list(range(10))
 
 
-class Noise(Numbered):
-    """Frames of random colours from `offset` to 40 above it."""
-
-    def __getitem__(self, index):
-        sample = super().__getitem__(index)
-        sample.rgb[:] += np.random.default_rng(index).integers(0, 40, (40, 40, 3), dtype=np.uint8)
-        return sample
-
-
 def test_colours_move_towards_those_of_another_image():
     still = dict.fromkeys(("brightness", "contrast", "saturation", "hue_deg", "blur", "gray"), 0)
 
     def means(restyle):
         config = AugmentConfig((32, 32), (1.0, 1.0), noise=0, restyle=restyle, **still)
-        parts = [MixturePart(each, 1.0, config) for each in (Noise(5, 0), Noise(5, 200))]
+        parts = [
+            MixturePart(each, 1.0, config) for each in (numbered(5, 0, 40), numbered(5, 200, 40))
+        ]
         mixed = mix(parts, length=30, seed=1)
         return {int(mixed[i].views[0].rgb.mean().round(-1)) for i in range(30)}
 
@@ -85,7 +76,7 @@ def test_colours_move_towards_those_of_another_image():
     moved = means(1.0)
     assert len(moved) > 6
     assert (min(moved), max(moved)) == (20, 220)
-    dark, bright = (Noise(5, offset)[0].rgb for offset in (0, 200))
+    dark, bright = (numbered(5, offset, 40)[0].rgb for offset in (0, 200))
     np.testing.assert_array_equal(move_histograms(dark, bright, 0.0), dark)
     moved = move_histograms(dark, bright, 1.0)
     levels = [np.sort(each[::4, ::4, 1].ravel()).astype(int) for each in (moved, bright)]
@@ -93,26 +84,20 @@ def test_colours_move_towards_those_of_another_image():
     np.testing.assert_array_equal(move_histograms(dark, dark, 1.0)[::4, ::4], dark[::4, ::4])
 
 
-class Street:
-    """One frame: the upper half sky, class 0, the lower a road, class 3, at 20 m; f = 50 px."""
-
-    def __len__(self):
-        return 1
-
-    def __getitem__(self, index):
-        depth = np.zeros((40, 40), np.float32)
-        depth[20:] = 20
-        semantic = np.where(depth > 0, 3, 0).astype(np.uint8)
-        intrinsics = np.array([[50.0, 0, 20], [0, 50.0, 20], [0, 0, 1]])
-        targets = {"depth": depth, "semantic": semantic}
-        rgb = np.zeros((40, 40, 3), np.uint8)
-        return Sample(make_frame(rgb, "street", intrinsics=intrinsics), targets)
+def street():
+    """The upper half sky, class 0, the lower a road, class 3, at 20 m; f = 50 px."""
+    depth = np.zeros((40, 40), np.float32)
+    depth[20:] = 20
+    intrinsics = np.array([[50.0, 0, 20], [0, 50.0, 20], [0, 0, 1]])
+    targets = {"depth": depth, "semantic": np.where(depth > 0, 3, 0).astype(np.uint8)}
+    frame = make_frame(np.zeros((40, 40, 3), np.uint8), "street", intrinsics=intrinsics)
+    return Sample(frame, targets)
 
 
 def drawn(data, canonical_focal_px=None):
     config = AugmentConfig(crop=(40, 40), scale=(1.0, 1.0), lidar_missing=0)
     depth = DepthTarget(canonical_focal_px, 0 if data else None, **data)
-    (view,) = mix([MixturePart(Street(), 1.0, config)], length=1, seed=0, depth=depth)[0].views
+    (view,) = mix([MixturePart([street()], 1.0, config)], length=1, seed=0, depth=depth)[0].views
     return {name: set(getattr(view, name).flat) for name in ("depth", "returns")}
 
 
@@ -130,12 +115,10 @@ def test_the_recipe_sets_the_unit_of_the_depth():
 
 
 def test_targets_are_batched_and_unlabelled_where_a_set_lacks_them():
-    street = Street()[0].with_returns(np.zeros((40, 40), np.float32))
+    plain = street().with_returns(np.zeros((40, 40), np.float32))
     mask = np.where(np.arange(40)[:, None] < 20, 0, 1) * np.ones((40, 40), np.uint8)
-    masked = replace(
-        street, targets={"road_mask": mask.astype(np.uint8)}, weights={"semantic": 0.2}
-    )
-    batch = Batch.collate([Drawn((street,)), Drawn((masked,))], ("depth", "road_mask", "semantic"))
+    masked = replace(plain, targets={"road_mask": mask.astype(np.uint8)}, weights={"semantic": 0.2})
+    batch = Batch.collate([Drawn((plain,)), Drawn((masked,))], ("depth", "road_mask", "semantic"))
     assert batch.targets["road_mask"].dtype == torch.uint8
     assert (batch.targets["road_mask"][0] == 255).all()
     assert batch.targets["road_mask"][1].tolist() == mask.tolist()
@@ -145,27 +128,25 @@ def test_targets_are_batched_and_unlabelled_where_a_set_lacks_them():
     assert batch.weights["depth"].tolist() == [1, 1]
 
 
-class Streets:
-    """Frames whose pixels are all different, with depth everywhere and labels."""
+def textured(index):
+    """A frame whose pixels are all different, with depth everywhere and labels."""
+    rng = np.random.default_rng(index)
+    rgb = rng.integers(0, 256, (300, 320, 3), dtype=np.uint8)
+    depth = rng.uniform(20, 60, (300, 320)).astype(np.float32)
+    labels = rng.integers(0, 11, (300, 320)).astype(np.uint8)
+    targets = {"depth": depth, "semantic": labels, "road_mask": (labels == 3).astype(np.uint8)}
+    intrinsics = np.array([[900.0, 0, 160], [0, 900, 10], [0, 0, 1]])
+    return Sample(make_frame(rgb, "", intrinsics=intrinsics), targets)
 
-    def __len__(self):
-        return 3
 
-    def __getitem__(self, index):
-        rng = np.random.default_rng(index)
-        rgb = rng.integers(0, 256, (300, 320, 3), dtype=np.uint8)
-        depth = rng.uniform(20, 60, (300, 320)).astype(np.float32)
-        labels = rng.integers(0, 11, (300, 320)).astype(np.uint8)
-        targets = {"depth": depth, "semantic": labels, "road_mask": (labels == 3).astype(np.uint8)}
-        intrinsics = np.array([[900.0, 0, 160], [0, 900, 10], [0, 0, 1]])
-        return Sample(make_frame(rgb, "", intrinsics=intrinsics), targets)
+TEXTURED = [textured(index) for index in range(3)]
 
 
 def pairs(pair_step=PAIR_STEP_PX, **options):
     config = AugmentConfig(
         crop=(128, 160), pair_shift=32, blur=0, noise=0, lidar_missing=0, **options
     )
-    parts = [MixturePart(Streets(), 1.0, config)]
+    parts = [MixturePart(TEXTURED, 1.0, config)]
     return mix(parts, length=24, seed=3, pair_step=pair_step)
 
 
@@ -241,19 +222,14 @@ def test_a_world_of_another_scale_looks_the_same_and_is_farther():
 
 
 def test_a_scaled_world_keeps_the_range_of_returns_and_the_sky():
-    class Skies(Streets):
-        def __getitem__(self, index):
-            street = super().__getitem__(index)
-            above = (np.arange(300) < 150)[:, None]
-            labels = np.where(above, np.uint8(0), np.uint8(1) + street.semantic % 10)
-            depth = np.where(above, np.float32(0), street.depth)
-            return street.with_targets(semantic=labels, depth=depth)
-
+    frame, above = TEXTURED[0], (np.arange(300) < 150)[:, None]
+    labels = np.where(above, np.uint8(0), np.uint8(1) + frame.semantic % 10)
+    frame = frame.with_targets(semantic=labels, depth=np.where(above, np.float32(0), frame.depth))
     config = AugmentConfig(
         crop=(128, 160), scale=(0.5, 0.5), lidar_missing=0, world_scale=(2.0, 2.0)
     )
     depth = DepthTarget(sky=0, sky_depth_m=100.0, max_depth_m=90.0)
-    (view,) = mix([MixturePart(Skies(), 1.0, config)], length=1, seed=3, depth=depth)[0].views
+    (view,) = mix([MixturePart([frame], 1.0, config)], length=1, seed=3, depth=depth)[0].views
     assert view.returns.max() == 90
     assert view.depth.max() > 110
     inner = view.semantic[2:-2] == 0
