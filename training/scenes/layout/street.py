@@ -6,12 +6,11 @@ import numpy as np
 
 from training.scenes.layout.frontage import make_backdrop, make_frontage
 from training.scenes.layout.furnishing import make_furniture, park_cars
-from training.scenes.layout.ground import make_ground
-from training.scenes.layout.markings import draw_stripes
+from training.scenes.layout.ground import draw_stripes, make_ground
 from training.scenes.layout.site import Centreline, Site, draw_centreline, draw_plan
 from training.scenes.layout.traffic import Actor, draw_people, draw_traffic
 from training.scenes.names import StreetKind
-from training.scenes.textures.paint import Stripe
+from training.scenes.textures.patterns import Stripe
 from training.scenes.things.mesh import Mesh, join
 
 

@@ -8,7 +8,7 @@ from embreex.rtcore_scene import EmbreeScene
 from numpy.typing import NDArray
 
 from training.scenes.arrays import Floats, Rows
-from training.scenes.textures.paint import Stripe
+from training.scenes.textures.patterns import Stripe
 from training.scenes.textures.surface import Points, Surface, SurfaceKind
 from training.scenes.textures.surfaces import texture_surfaces
 from training.scenes.things.mesh import Mesh, face_normals

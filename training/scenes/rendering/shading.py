@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 from training.scenes.arrays import Floats
 from training.scenes.rendering.raycast import Hits, RayCaster
 from training.scenes.rendering.weather import Weather, sky_color
-from training.scenes.textures.noise import fractal_noise
+from training.scenes.textures.patterns import fractal_noise
 from training.scenes.textures.surface import SurfaceKind
 
 _GROUND = (SurfaceKind.ASPHALT, SurfaceKind.PAVING)

@@ -6,7 +6,7 @@ import numpy as np
 
 from training.scenes.arrays import Floats
 from training.scenes.names import Variant
-from training.scenes.textures.noise import fractal_noise
+from training.scenes.textures.patterns import fractal_noise
 
 
 @dataclass(frozen=True)

@@ -3,8 +3,7 @@
 import numpy as np
 
 from training.scenes.arrays import Floats
-from training.scenes.textures.noise import fractal_noise, hash01
-from training.scenes.textures.paint import band
+from training.scenes.textures.patterns import band, fractal_noise, hash01
 from training.scenes.textures.surface import Points, Surface, matt, mix
 
 # Height and width of a brick with its mortar [m].

@@ -5,8 +5,14 @@ from collections.abc import Sequence
 import numpy as np
 
 from training.scenes.arrays import Floats
-from training.scenes.textures.noise import fractal_noise, hash01, value_noise
-from training.scenes.textures.paint import Stripe, band, paint_cover
+from training.scenes.textures.patterns import (
+    Stripe,
+    band,
+    fractal_noise,
+    hash01,
+    paint_cover,
+    value_noise,
+)
 from training.scenes.textures.surface import Points, Surface, matt, mix
 
 

@@ -8,8 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from training.scenes.textures import building_surfaces, street_surfaces, vehicle_surfaces
-from training.scenes.textures.noise import fractal_noise, value_noise
-from training.scenes.textures.paint import Stripe
+from training.scenes.textures.patterns import Stripe, fractal_noise, value_noise
 from training.scenes.textures.surface import Points, Surface, SurfaceKind, matt
 
 

@@ -2,8 +2,7 @@
 
 import numpy as np
 
-from training.scenes.textures.noise import hash01
-from training.scenes.textures.paint import band
+from training.scenes.textures.patterns import band, hash01
 from training.scenes.textures.surface import Points, Surface, matt, mix
 
 

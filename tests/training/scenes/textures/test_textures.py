@@ -6,7 +6,7 @@ import pytest
 pytest.importorskip("embreex", reason="the renderer needs the train extra")
 
 from training.scenes.names import SceneClass
-from training.scenes.textures.paint import Stripe, band, paint_cover
+from training.scenes.textures.patterns import Stripe, band, paint_cover
 from training.scenes.textures.surface import SurfaceKind
 from training.scenes.things.mesh import Look, polygon
 from training.scenes.things.vehicles import make_bus, make_car, make_truck, make_van

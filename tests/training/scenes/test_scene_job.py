@@ -13,7 +13,7 @@ from runtime.base.errors import OutputError
 from training.scenes.cli import app
 from training.scenes.rendering.lidar_scan import LidarScan
 from training.scenes.rendering.render import RenderedFrame
-from training.scenes.vkitti_writer import write_variant
+from training.scenes.scene_job import write_variant
 
 
 def frame(number: int) -> RenderedFrame:
