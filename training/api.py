@@ -5,11 +5,11 @@ Weights are given by the name of a checkpoint of the package ("ssdnet-lite"), or
 """
 
 import sys
-import tomllib
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 from tqdm import tqdm
 
@@ -21,7 +21,7 @@ from training.evaluation.evaluate import evaluate as evaluate
 from training.fine_tuning import adaptation
 from training.fine_tuning.adaptation import Adapted
 from training.fine_tuning.adaptation_frames import describe_recording
-from training.fine_tuning.own_folders import RECIPE_TEXT, OwnFolders, keep_recipe, with_changes
+from training.fine_tuning.own_folders import RECIPE_TEXT, OwnFolders, keep_recipe, write_toml
 from training.fine_tuning.verdict import FineTuned as FineTuned
 from training.fine_tuning.verdict import Pair, conclude, score_both
 from training.recipes.chosen_recipe import inherit_settings, read_stages
@@ -170,14 +170,15 @@ def finetune(
     run = TrainingRun(
         [own.root], Path(out), init=begin, device=device, stop_after=stop_after, stop=stop
     )
-    text = own.make_recipe(begin, folds=folds)
-    tqdm.write(with_changes(text, changes), file=sys.stderr)
+    table = own.make_recipe(begin, folds=folds)
+    tqdm.write(write_toml(table, changes, own.root), file=sys.stderr)
 
-    def build(text: str) -> Recipe:
-        return build_recipe(inherit_settings(tomllib.loads(text), changes, begin), RECIPE_TEXT)
+    def build(table: Mapping[str, Any]) -> Recipe:
+        return build_recipe(inherit_settings(table, changes, begin), RECIPE_TEXT)
 
-    recipe = build(text)
-    keep_recipe(text, changes, run.out)  # also in a dry run, because it is the file to edit
+    recipe = build(table)
+    # Also in a dry run, because it is the file to edit.
+    keep_recipe(table, changes, own.root, run.out)
     if dry_run:
         return draw_first_batch((Stage("", recipe),), run)
     pairs: list[Pair] = []

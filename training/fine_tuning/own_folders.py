@@ -1,13 +1,12 @@
 """The recipe for folders of images, labels and depth maps: what it needs is read from them."""
 
 import itertools
-import json
 import os
 import re
 import sys
 import tomllib
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from statistics import median
@@ -32,6 +31,7 @@ from training.datasets.class_list import read_class_list, read_labels
 from training.datasets.class_names import relatives
 from training.datasets.folders import FoldersRecipe
 from training.datasets.recording import RecordingRecipe, beside
+from training.datasets.sample import Sample
 from training.fine_tuning.adaptation_frames import describe_recording, is_named
 from training.fine_tuning.likeness import find_alike
 from training.run.recipe import change
@@ -44,14 +44,14 @@ RECIPE_TEXT = "recipe.toml"
 _BATCH = 4
 # Epochs, if the number of steps is within its limits: with 70 steps, twenty pictures gained.
 _PASSES, _MIN_STEPS, _MAX_STEPS = 20, 70, 10_000
-# The depth head reads the features of the classes: training them further made the depth a third
-# worse in 150 steps. The rate is that of layers which begin at random.
-_CLASSES_ALONE = (
-    "[optimizer]  # only the last layers of the classes: the depth stays that of --init",
-    'only = ["semantic_"]',
-    'frozen = ["semantic_decoder"]',
-    "learning_rate = 2e-3",
-)
+# Only the last layers of the classes are trained: the depth head reads the features of the classes,
+# and training them further made the depth a third worse in 150 steps. The rate is that of layers
+# which begin at random. In 70 steps this decay leaves a quarter of the start in the average: twenty
+# pictures alone make a class worse than weights that know more of them.
+_CLASSES_ALONE: dict[str, Any] = {
+    "optimizer": {"only": ["semantic_"], "frozen": ["semantic_decoder"], "learning_rate": 2e-3},
+    "loop": {"ema_decay": 0.98, "ema_keeps_start": True},
+}
 # One frame in this number is for validation, but no fewer than the least that give a verdict.
 _VALIDATION, _LEAST_APART = 10, LEAST_DRAWN
 # The least number of frames.
@@ -122,8 +122,8 @@ class OwnFolders:
         """The recipe's `--data`: the folder that holds the images' folder, or the recording."""
         return self.recording[1] if self.recording else self.images.resolve().parent
 
-    def make_recipe(self, init: Weights, fold: int | None = None, folds: int = 0) -> str:
-        """Return a recipe, as TOML, for a training that starts from `init`.
+    def make_recipe(self, init: Weights, fold: int | None = None, folds: int = 0) -> dict[str, Any]:
+        """Return the tables of a recipe for a training that starts from `init`.
 
         A tenth of the frames, at least six, is for validation: blocks of neighbours, which are
         alike, from three places. With `folds` it is the block of that number of so many; without a
@@ -142,8 +142,8 @@ class OwnFolders:
         classes, meaning = self._learned_classes()
         keys = (self._keys_of_recording() or self._keys_of_folders()) | meaning
         recipe = RecordingRecipe(**keys) if self.recording else FoldersRecipe(**keys)
-        folder, table = self.root / recipe.path, classes or "camvid"
-        frames = recipe.open(folder, table)
+        folder, named = self.root / recipe.path, classes or "camvid"
+        frames = recipe.open(folder, named)
         count = len(frames)
         if count < _LEAST_FRAMES:
             raise InputError(
@@ -157,7 +157,7 @@ class OwnFolders:
         rows, fits_all = self._choose_rows(heights, init)
         if not fits_all:
             keys["size"] = rows
-            frames = replace(recipe, size=rows).open(folder, table)
+            frames = replace(recipe, size=rows).open(folder, named)
         apart = _choose_apart(frames.names, fold, folds)
         if not folds and count < _FEW_FRAMES:
             text = f"only {len(apart)} of {count} frames are kept apart, which say little: label "
@@ -165,17 +165,11 @@ class OwnFolders:
                 text + "more, or give --folds 5, which scores on all of them", file=sys.stderr
             )
         trained = sorted({*range(count)} - {*apart})
-        origins = self._relatives(init)
         looked_at = (frames[each] for each in trained[:: -(-len(trained) // _LOOKED_AT)])
-        alike = find_alike(looked_at, init, {info.name: origins[info.name] for info in classes})
-        for name, others in alike.items():
-            text = f"{name} begins with {', '.join(others)}, as {init.path.name} answers its pixels"
-            tqdm.write(f"{text}; a line {name} = ... of --classes names others", file=sys.stderr)
-        origins |= alike
-        lines = [*_describe(origins, classes, rows, keys, apart, trained)]
-        if init.network.depth_layers:
-            lines += ["", *(_CLASSES_ALONE if classes else _depth_alone(init.network))]
-        return "\n".join((f"# --data is {quoted(str(self.root))}.", *lines, ""))
+        origins = self._origins(classes, looked_at, init)
+        infos = [{**asdict(info), "of": origins[info.name]} for info in classes]
+        layers = _choose_layers(init.network, learns_classes=bool(classes))
+        return _make_tables(infos, rows, keys, trained, apart) | layers
 
     def _learned_classes(self) -> tuple[tuple[ClassInfo, ...], dict[str, Any]]:
         """Return the classes that are learned, and the keys that say what the labels mean."""
@@ -197,6 +191,17 @@ class OwnFolders:
                 )
             found[item.name] = tuple(dict.fromkeys(name for part in parts for name in part))
         return found
+
+    def _origins(
+        self, classes: Sequence[ClassInfo], samples: Iterable[Sample], init: Weights
+    ) -> dict[str, tuple[str, ...]]:
+        """Return `_relatives`, and what frames with labels show of classes that have none."""
+        origins = self._relatives(init)
+        alike = find_alike(samples, init, {info.name: origins[info.name] for info in classes})
+        for name, others in alike.items():
+            text = f"{name} begins with {', '.join(others)}, as {init.path.name} answers its pixels"
+            tqdm.write(f"{text}; a line {name} = ... of --classes names others", file=sys.stderr)
+        return origins | alike
 
     def _keys_of_recording(self) -> dict[str, Any]:
         """Return the keys of the set, with its labelled frames; nothing for folders."""
@@ -252,41 +257,41 @@ class OwnFolders:
         return rows
 
 
-def _describe(
-    origins: Mapping[str, Sequence[str]],
-    classes: Sequence[ClassInfo],
+def _make_tables(
+    classes: Sequence[Mapping[str, Any]],
     rows: int,
     keys: Mapping[str, Any],
-    apart: Sequence[int],
     trained: Sequence[int],
-) -> Iterator[str]:
-    """Yield the lines of a recipe with the frames `apart` for validation."""
-    count = len(apart) + len(trained)
-    has_depth = "depth" in keys or "kind" in keys
-    keys = {"kind": "folders"} | dict(keys)
-    yield "[model]"
-    if classes:
-        yield "classes = ["
-        for info in classes:
-            of = f", of = {quoted(origins[info.name])}" if origins[info.name] else ""
-            yield f"    {{name = {quoted(info.name)}, color = {list(info.color)}{of}}},"
-        yield "]"
-    yield f"trained_height = {rows}  # of the images [px]"
-    yield "\n[data]"
-    yield f"batch_size = {_BATCH}"
-    for table, chosen in (("data", trained), ("validation", apart)):
-        if not chosen:
-            continue
-        if table == "validation" and has_depth:
-            yield '\n[validation]\nlidar = "own"  # every second line is the input'
-        yield f"\n[[{table}.source]]"
-        yield f'name = "{"train" if table == "data" else "val"}"'
-        yield from (f"{key} = {quoted(value)}" for key, value in keys.items())
-        yield f"parts = {_list_parts(chosen)}  # {len(chosen)} of {count} frames"
-        if has_depth and keys["kind"] == "folders" and "intrinsics" not in keys:
-            yield "# intrinsics = [721.5, 721.5, 609.6, 172.9]  # fx, fy, cx, cy of the camera [px]"
+    apart: Sequence[int],
+) -> dict[str, Any]:
+    """Return the tables of a recipe with the frames `apart` for validation."""
+
+    def source(name: str, chosen: Sequence[int]) -> list[dict[str, Any]]:
+        return [{"name": name, "kind": "folders", **keys, "parts": _list_parts(chosen)}]
+
+    model = {"trained_height": rows} | ({"classes": classes} if classes else {})
     steps = min(max(_PASSES * len(trained) // _BATCH, _MIN_STEPS), _MAX_STEPS)
-    yield f"\n[schedule]\nsteps = {steps}  # of {_BATCH} frames"
+    tables: dict[str, Any] = {
+        "model": model,
+        "data": {"batch_size": _BATCH, "source": source("train", trained)},
+        "schedule": {"steps": steps},
+    }
+    if apart:
+        has_depth = "depth" in keys or "kind" in keys  # every second line is the input
+        lidar = {"lidar": "own"} if has_depth else {}
+        tables["validation"] = {**lidar, "source": source("val", apart)}
+    return tables
+
+
+def _choose_layers(network: Network, *, learns_classes: bool) -> dict[str, Any]:
+    """Return the tables that say which layers are trained; those of other networks all are."""
+    if not network.depth_layers:
+        return {}
+    if learns_classes:
+        return _CLASSES_ALONE
+    # Classes and boundaries stay as they are.
+    shared = [*network.shared_depth_layers]
+    return {"optimizer": {"only": [*network.depth_layers], "frozen": shared}}
 
 
 def _list_parts(indices: Sequence[int]) -> list[list[int]]:
@@ -328,12 +333,6 @@ def cut(names: Sequence[str], count: int) -> list[list[int]]:
     return [list(range(*ends)) for ends in itertools.pairwise([*cuts, len(names)])]
 
 
-def _depth_alone(network: Network) -> Iterator[str]:
-    yield "[optimizer]  # only what the depth alone reads: classes and boundaries stay as they are"
-    yield f"only = {json.dumps(network.depth_layers)}"
-    yield f"frozen = {json.dumps(network.shared_depth_layers)}"
-
-
 def _read_height(path: Path) -> int:
     """Return the rows of an image, by its header where that is near the start of the file."""
     with open_input(path, max_bytes=MAX_FILE_BYTES) as file:
@@ -345,16 +344,17 @@ def _read_height(path: Path) -> int:
 _CHANGE = "# --set "
 
 
-def with_changes(text: str, changes: Sequence[str]) -> str:
-    """Return a recipe as TOML with its changes, which it lists; then other comments are lost."""
-    if not changes:
-        return text
-    lines = [line for line in text.splitlines()[:1] if line.startswith("#")]
+def write_toml(table: Mapping[str, Any], changes: Sequence[str], root: Path) -> str:
+    """Return a recipe for the data in `root` as TOML, with its changes, which it lists."""
+    lines = [f"# --data is {quoted(str(root))}."]
+    source = table["data"]["source"][0]
+    if "depth" in source and "intrinsics" not in source and source["kind"] == "folders":
+        lines.append("# intrinsics = [721.5, 721.5, 609.6, 172.9] of a source: fx, fy, cx, cy [px]")
     lines += [_CHANGE + item for item in changes]
-    return "\n".join((*lines, to_toml(change(tomllib.loads(text), changes)), ""))
+    return "\n".join((*lines, to_toml(change(table, changes)), ""))
 
 
-def keep_recipe(text: str, changes: Sequence[str], out: Path) -> None:
+def keep_recipe(table: Mapping[str, Any], changes: Sequence[str], root: Path, out: Path) -> None:
     """Write a recipe with its changes into a run's folder; InputError if the file was edited."""
     path = out / RECIPE_TEXT
     with folder_errors(out):
@@ -362,7 +362,7 @@ def keep_recipe(text: str, changes: Sequence[str], out: Path) -> None:
             kept = read_text(path).splitlines()
             made = [line.removeprefix(_CHANGE) for line in kept if line.startswith(_CHANGE)]
             # Comments may name another place: data that were moved are the same data.
-            if read_toml(path) != change(tomllib.loads(text), made):
+            if read_toml(path) != tomllib.loads(write_toml(table, made, root)):
                 raise InputError(
                     f"{path}: is not the recipe that these folders give now: remove it, or train "
                     f"by it: ssdnet-train {path} --data DIR --init NAME --out RUN"
@@ -370,4 +370,4 @@ def keep_recipe(text: str, changes: Sequence[str], out: Path) -> None:
             if (out / RECIPE).is_file():  # of the run that began by it
                 return
         out.mkdir(parents=True, exist_ok=True)
-        atomic_write(path, with_changes(text, changes).encode())
+        atomic_write(path, write_toml(table, changes, root).encode())

@@ -32,6 +32,8 @@ class LoopRecipe:
     Attributes:
         autocast: type of the network's arithmetic; "none" is float32.
         ema_decay: decay of the averaged weights in model.pt; 0: no averaging.
+        ema_keeps_start: whether the average begins with the initial weights, of which a short
+            training then leaves a part; otherwise it forgets them within ten steps.
         clip_norm: largest norm of the gradient; 0: no clipping.
         accumulate: batches per process whose gradients are averaged for one step; batch
             normalisation is over each batch.
@@ -41,6 +43,7 @@ class LoopRecipe:
 
     autocast: Literal["none", "bf16"] = "none"
     ema_decay: Share = 0.999
+    ema_keeps_start: bool = False
     clip_norm: NotNegative = 0.0
     accumulate: BatchSize = 1
     checkpoint_every: Steps | None = None

@@ -57,7 +57,8 @@ class TrainingState:
         self._optimizer = task.optimizer
         self._peaks = [group["lr"] for group in task.optimizer.param_groups]
         # Buffers are averaged too: batch statistics must fit the averaged weights.
-        update = exponential_average(task.recipe.loop.ema_decay)
+        loop = task.recipe.loop
+        update = exponential_average(loop.ema_decay, keeps_start=loop.ema_keeps_start)
         self._average = AveragedModel(task.network, multi_avg_fn=update, use_buffers=True)
         self._forward = share_network(task.network, task.processes)
 
@@ -178,16 +179,19 @@ class TrainingState:
         )
 
 
-def exponential_average(decay: float) -> Callable[[Tensors, Tensors, Tensor | int], None]:
+def exponential_average(
+    decay: float, *, keeps_start: bool = False
+) -> Callable[[Tensors, Tensors, Tensor | int], None]:
     """Return AveragedModel's update rule: an exponential average.
 
-    The decay grows as (1 + n) / (10 + n) up to `decay`, so that the random initial weights do not
-    remain in the average of a short run.
+    Unless it `keeps_start`, the decay grows as (1 + n) / (10 + n) up to `decay`, so that the random
+    initial weights do not remain in the average of a short run.
     """
 
     @torch.no_grad()
     def update(average: Tensors, current: Tensors, count: Tensor | int) -> None:
-        share = 1.0 - min(decay, (1.0 + int(count)) / (10.0 + int(count)))
+        growing = 1.0 if keeps_start else (1.0 + int(count)) / (10.0 + int(count))
+        share = 1.0 - min(decay, growing)
         if average[0].is_floating_point():
             torch._foreach_lerp_(average, current, share)
         else:  # counters

@@ -74,10 +74,11 @@ def test_learning_rate_by_hand():
     assert math.isclose(learning_rate(schedule, 2.0, 35), 2 * 0.853553, rel_tol=1e-5)
 
 
-def test_the_average_forgets_the_first_weights_of_a_short_run():
+@pytest.mark.parametrize(("keeps_start", "decays"), [(False, (0.1, 0.5, 0.9)), (True, (0.9,) * 3)])
+def test_the_average_forgets_the_first_weights_of_a_short_run(keeps_start, decays):
     """The decay grows from 1/10 as (1 + n) / (10 + n) to its value; counters are copied."""
-    update = exponential_average(0.9)
-    for count, decay in ((0, 0.1), (8, 0.5), (1000, 0.9)):
+    update = exponential_average(0.9, keeps_start=keeps_start)
+    for count, decay in zip((0, 8, 1000), decays, strict=True):
         average, counter = [torch.tensor([1.0, 2.0])], [torch.tensor(3)]
         update(average, [torch.tensor([2.0, 4.0])], count)
         update(counter, [torch.tensor(7)], count)
