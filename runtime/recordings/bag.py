@@ -206,16 +206,16 @@ class BagSource(Source):
     def read(self, frame: ListedFrame) -> Frame:
         """See `Source.read`."""
         self._bag.guard.check()
-        messages = self._messages.take(frame)
-        image = self._bag.decode(messages[frame.image])
+        recorded, recorded_depth = self._messages.take(frame)
+        image = self._bag.decode(recorded)
         is_compressed = self._bag.types[self._image_topic] == COMPRESSED_IMAGE
         depth, calibration = None, self.calibration
         with self.collecting():
             if calibration is not None:
                 self._sensors.require_camera(image)
             rgb = decode_compressed_image(image) if is_compressed else decode_image(image)
-            if frame.depth is not None:
-                message = self._bag.decode(messages[frame.depth])
+            if recorded_depth is not None:
+                message = self._bag.decode(recorded_depth)
                 calibration = self._sensors.calibration_of(message, calibration)
                 depth = self._decode_depth(frame, message)
             return self.measured(frame, rgb, depth, calibration)

@@ -29,22 +29,19 @@ class BagMessages:
         self.close()
         if max(apart, default=0) > _FAR:
             self._second = RosBag(self._bag.path)
-            readers = [(self._bag, images), (self._second, depths)]
+            self._images = _Reader(self._bag, self._topics, images)
+            self._depths = _Reader(self._second, self._topics, depths)
         else:
-            readers = [(self._bag, images | depths)]
-        self._readers = [_Reader(bag, self._topics, owners) for bag, owners in readers]
+            self._images = self._depths = _Reader(self._bag, self._topics, images | depths)
 
     def __iter__(self) -> Iterator[tuple[int, RecordedMessage]]:
         """Yield (position, message), in the same order each time."""
         return enumerate(self._bag.messages(self._topics))
 
-    def take(self, frame: ListedFrame) -> dict[int, RecordedMessage]:
-        """The messages of a frame by position."""
-        places = {place for place in (frame.image, frame.depth) if place is not None}
-        taken: dict[int, RecordedMessage] = {}
-        for reader in self._readers:
-            taken |= reader.take(places, frame)
-        return taken
+    def take(self, frame: ListedFrame) -> tuple[RecordedMessage, RecordedMessage | None]:
+        """The messages of the image and the depth of a frame."""
+        image = self._images.take(frame.image, frame)
+        return image, None if frame.depth is None else self._depths.take(frame.depth, frame)
 
     def close(self) -> None:
         """Close what `expect` has opened."""
@@ -64,20 +61,16 @@ class _Reader:
     def _rewind(self) -> None:
         self._messages, self._next_place = enumerate(self._bag.messages(self._topics)), 0
 
-    def take(self, places: set[int], frame: ListedFrame) -> dict[int, RecordedMessage]:
-        places = places & self._owners.keys()
-        missing = places - self._kept.keys()
-        if missing and min(missing) < self._next_place:
+    def take(self, place: int, frame: ListedFrame) -> RecordedMessage:
+        kept = self._kept.items()
+        self._kept = {at: each for at, each in kept if self._owners[at] >= frame.sequence}
+        if place not in self._kept and place < self._next_place:
             self._rewind()
-        while not places <= self._kept.keys():
-            place, message = next(self._messages, (-1, None))
+        while place not in self._kept:
+            at, message = next(self._messages, (-1, None))
             if message is None:
                 raise InputError(f"{self._bag.path} ends before {frame.name}: was it replaced?")
-            self._next_place = place + 1
-            if self._owners.get(place, -1) >= frame.sequence:
-                self._kept[place] = message
-        taken = {place: self._kept[place] for place in places}
-        # A scan may serve later images as well.
-        kept = self._kept.items()
-        self._kept = {place: each for place, each in kept if self._owners[place] > frame.sequence}
-        return taken
+            self._next_place = at + 1
+            if self._owners.get(at, -1) >= frame.sequence:
+                self._kept[at] = message
+        return self._kept[place]
