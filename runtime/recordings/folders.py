@@ -264,9 +264,7 @@ class FolderSource(Source):
 
     def _check_numbering(self, images: Iterable[str], depths: Iterable[str]) -> None:
         """Report the assumption that two numberings are one, if one counts from another number."""
-        first, second = (
-            sorted(int(s) for s in stems if s.isdecimal()) for stems in (images, depths)
-        )
+        first, second = (sorted(map(int, filter(str.isdecimal, s))) for s in (images, depths))
         apart = {after - before for before, after in zip(first, second, strict=False)}
         if len(first) == len(second) > 1 and len(apart) == 1 and apart != {0}:
             what = f"images numbered from {first[0]} and {self._what}s numbered from {second[0]}"

@@ -186,10 +186,9 @@ def _jpeg_size(content: bytes) -> tuple[int, int] | None:
 
 def require_pixels(size: tuple[int, int], *, name: str) -> None:
     """Raise InputError for an image size (height, width) of more than `MAX_PIXELS` pixels."""
-    if size[0] * size[1] > MAX_PIXELS:
-        raise InputError(
-            f"{name} has {size[0]} x {size[1]} pixels, expected at most {MAX_PIXELS:,}"
-        )
+    height, width = size
+    if height * width > MAX_PIXELS:
+        raise InputError(f"{name} has {height} x {width} pixels, expected at most {MAX_PIXELS:,}")
 
 
 def list_files(folder: Path, suffixes: tuple[str, ...] = RGB_SUFFIXES) -> dict[str, Path]:

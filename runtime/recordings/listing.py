@@ -113,11 +113,11 @@ def _in_order(places: Iterable[Place]) -> Iterator[Place]:
 def _is_settled(listing: Listing, read: Sequence[Place], camera_only: bool) -> bool:
     """Whether later messages are too new to change the list, as each sensor is beyond its end."""
     newest = {place.sensor: place.stamp_ns for place in read}  # the last one of each
-    ends_ns = [newest.get(each) for each in MATCHED[: 1 if camera_only else None]]
+    sensors = MATCHED[:1] if camera_only else MATCHED
     last_ns = listing.frames[-1].image_stamp_ns if listing.frames else None
-    return last_ns is not None and all(
-        end_ns is not None and end_ns > last_ns + JUMP_BACK_NS for end_ns in ends_ns
-    )
+    if last_ns is None:
+        return False
+    return all(newest.get(each, last_ns) > last_ns + JUMP_BACK_NS for each in sensors)
 
 
 def _listed(pairs: Iterable[Pair[Place]], camera_only: bool) -> Iterator[ListedFrame]:

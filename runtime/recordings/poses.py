@@ -101,9 +101,7 @@ def read_oxts_poses(paths: Iterable[Path]) -> NDArray[np.float64]:
                 f"pitch and yaw [radians], got {shown(row[0, :6].tolist())}"
             )
         scale = scale or _EARTH_RADIUS_M * np.cos(np.radians(latitude))
-        roll, pitch, yaw = (
-            cv2.Rodrigues(axis * angle)[0] for axis, angle in zip(np.eye(3), angles, strict=True)
-        )
+        roll, pitch, yaw = (cv2.Rodrigues(turn)[0] for turn in np.diag(angles))
         pose = np.eye(4)
         pose[:3, :3] = yaw @ pitch @ roll
         north = np.log(np.tan(np.radians(90 + latitude) / 2))

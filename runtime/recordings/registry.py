@@ -138,12 +138,11 @@ def parse_source(text: str) -> SourcePath:
 
 def _read_key(name: str, value: str, takes: str) -> Any:
     """Convert the text of a key's value, from --source or from Python. Raises InputError."""
+    expected, read = SOURCE_KEYS[name]
     try:
-        return SOURCE_KEYS[name].read(value)
+        return read(value)
     except (ValueError, InputError) as error:
-        raise InputError(
-            f"{name} must be {SOURCE_KEYS[name].expected}, got {shown(value)}: {takes}"
-        ) from error
+        raise InputError(f"{name} must be {expected}, got {shown(value)}: {takes}") from error
 
 
 def keys_of(kind: str) -> tuple[str, ...]:

@@ -134,10 +134,8 @@ def decode_points(message: Any) -> NDArray[np.float32]:
     for axis in "xyz":
         of_axis = [field for field in message.fields if field.name == axis]
         if len(of_axis) != 1:
-            names = ", ".join(str(field.name) for field in message.fields)
-            raise InputError(
-                f"a PointCloud2 must have one field {axis}, it has {cut(names, 200) or 'none'}"
-            )
+            names = cut(", ".join(str(field.name) for field in message.fields), 200) or "none"
+            raise InputError(f"a PointCloud2 must have one field {axis}, it has {names}")
         fields += of_axis
     cloud = view_fields(message, fields, _FLOATS)
     with np.errstate(over="ignore", invalid="ignore"):  # Inf beyond float32 is no return

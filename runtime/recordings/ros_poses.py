@@ -154,9 +154,8 @@ def odometry_poses(messages: Iterable[Any]) -> tuple[str, list[tuple[int, NDArra
         speed = message.twist.twist.linear
         twists.append(np.linalg.norm([speed.x, speed.y, speed.z]))
     if len(frames) != 1:
-        raise InputError(
-            f"an Odometry must be of one child_frame_id, got {', '.join(sorted(frames)) or 'none'}"
-        )
+        got = ", ".join(sorted(frames)) or "none"
+        raise InputError(f"an Odometry must be of one child_frame_id, got {got}")
     if len(fixed) > 1:
         raise InputError(f"an Odometry must be in one frame, got {', '.join(sorted(fixed))}")
     stamps_s, places = np.array([ns for ns, _ in poses]) / 1e9, [pose[:3, 3] for _, pose in poses]

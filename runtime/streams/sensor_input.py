@@ -82,11 +82,9 @@ class SensorInput:
             if self._mount is None:
                 raise InputError('poses need Rig(pose_frame="lidar"), "camera" or "body"')
             return Pose(nearest_rigid("pose", data), stamp_ns=stamp_ns)
+        if kind == "points" and calibration is None:
+            raise InputError("points need a calibration to be projected: give Rig(calibration=)")
         if kind == "points":
-            if calibration is None:
-                raise InputError(
-                    "points need a calibration to be projected: give Rig(calibration=)"
-                )
             check_points(data)
             after_s = None if times is None else point_times(times, len(data), stamp_ns)
             return Scan.of(data.copy(), after_s, stamp_ns)
