@@ -53,7 +53,6 @@ class KittiRawSource(FolderSource):
     calibration: Calibration
 
     def __init__(self, drive: Path, rig: Rig = DEFAULT_RIG, *, camera: int = 2) -> None:
-        rig = replace(rig, scan_stamp=rig.scan_stamp or "middle")  # as KITTI documents it
         images, scans = drive / f"image_{camera:02d}", drive / "velodyne_points"
         for folder in (images / "data", scans / "data"):
             if not os.path.isdir(folder):
@@ -68,13 +67,11 @@ class KittiRawSource(FolderSource):
                 f"{RAW_CAMERAS} and {RAW_SCANNER} of that day: copy them, or give `calibration=`"
             )
         self._kitti_rectified = not os.path.realpath(drive).endswith("_extract")
-        super().__init__(
-            images / "data",
-            replace(rig, calibration=calibration, reuse_depth_ms=None),
-            points=scans / "data",
-            camera=camera,
-        )
-        self._drive, self._rig = drive, replace(rig, calibration=calibration)
+        stamp = rig.scan_stamp or "middle"  # as KITTI documents it
+        rig = replace(rig, calibration=calibration, scan_stamp=stamp)
+        given = {"points": scans / "data", "camera": camera}
+        super().__init__(images / "data", replace(rig, reuse_depth_ms=None), **given)
+        self._drive, self._rig = drive, rig
         self._oxts: Path | None = None  # folder of the poses, if they are used
         self._stamped: list[Place] = []
         pictures = _read_stamps(Sensor.IMAGE, images, RGB_SUFFIXES)
