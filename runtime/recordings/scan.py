@@ -149,8 +149,7 @@ def _read_points(content: bytes, *, is_pcd: bool) -> NDArray[np.float32]:
         raise ValueError("its first line is not 'ply': it is damaged or of another format")
     text, body = content[: last.end()].decode("latin-1"), content[last.end() :]
     words = [line.split() for line in text.split("\n")]
-    header = (_parse_pcd if is_pcd else _parse_ply)(words)
-    fields, points, encoding, _ = header
+    fields, points, encoding, is_last = (_parse_pcd if is_pcd else _parse_ply)(words)
     encodings = _OF_PCD if is_pcd else _OF_PLY
     if encoding not in encodings:
         expected = ", ".join(encodings)
@@ -161,7 +160,7 @@ def _read_points(content: bytes, *, is_pcd: bool) -> NDArray[np.float32]:
     lines = list(filter(bytes.strip, body.splitlines())) if encoding == _ASCII else []
     there = len(lines) if encoding == _ASCII else len(body) // size
     # PCL up to 1.8 writes a page of zeros behind the points.
-    is_longer = there > points and header.is_last and encoding != _COMPRESSED
+    is_longer = there > points and is_last and encoding != _COMPRESSED
     if not 0 <= points <= there or (is_longer and (lines or body[points * size :].strip(b"\0"))):
         raise ValueError(
             f"its header states {points} points, it has {there}: is it truncated, or is it another "

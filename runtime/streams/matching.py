@@ -114,20 +114,6 @@ class Intervals:
         return sum(abs(each - period_ns) for each in single) // len(single)
 
 
-class _Waiting(Generic[M]):
-    """Waiting messages of one sensor, and its recent intervals."""
-
-    def __init__(self) -> None:
-        self.messages: list[M] = []  # by stamp
-        self.remembered: deque[int] = deque(maxlen=_REMEMBERED_STAMPS)
-        self.intervals = Intervals()
-
-    def add(self, message: M) -> None:
-        insort(self.messages, message, key=_stamp_of)
-        self.remembered.append(message.time_ns)
-        self.intervals.add(message.time_ns)
-
-
 class Matcher(ABC, Generic[M]):
     """Holds messages that wait for a partner.
 
@@ -140,10 +126,9 @@ class Matcher(ABC, Generic[M]):
         self._max_skew_ns = round(rig.max_skew_ms * NS_PER_MS)
         self._reuse_ns = round(rig.max_depth_age_ms * NS_PER_MS)
         self._capacity = capacity
-        self._sensors = {sensor: _Waiting[M]() for sensor in MATCHED}
         # Depth maps that may be reused, and their outcome when dropped; None: already counted.
         self._kept: dict[M, Outcome | None] = {}
-        self._decided_ns: int | None = None  # the newest image that was decided
+        self._start()
 
     def flush(self) -> Decided[M]:
         """Decide all waiting messages at the end of the stream."""
@@ -170,32 +155,35 @@ class Matcher(ABC, Generic[M]):
 
     # --- deciding --------------------------------------------------------------------------------
 
-    @property
-    def _images(self) -> list[M]:
-        return self._sensors[Sensor.IMAGE].messages
+    def _start(self) -> None:
+        """Begin without stamps, at first and after the stamps jumped back."""
+        self._images: list[M] = []  # those that wait, by stamp
+        self._depths: list[M] = []
+        self._intervals = {sensor: Intervals() for sensor in MATCHED}
+        self._remembered = {sensor: deque[int](maxlen=_REMEMBERED_STAMPS) for sensor in MATCHED}
+        self._decided_ns: int | None = None  # the newest image that was decided
 
-    @property
-    def _depths(self) -> list[M]:
-        return self._sensors[Sensor.DEPTH].messages
+    def _waiting(self, sensor: Sensor) -> list[M]:
+        return self._images if sensor is Sensor.IMAGE else self._depths
 
     def _admit(self, decided: Decided[M], message: M) -> bool:
         """Let a message wait, unless it is discarded at once."""
-        sensor = message.sensor
-        waiting = self._sensors[sensor]
-        if message.time_ns in waiting.remembered:
+        sensor, time_ns = message.sensor, message.time_ns
+        if time_ns in self._remembered[sensor]:
             decided.discarded.append(Discarded(message, Outcome.DUPLICATE))
             return False
-        newest_ns = waiting.intervals.newest_ns
-        if newest_ns is not None and message.time_ns < newest_ns - JUMP_BACK_NS:
+        newest_ns = self._intervals[sensor].newest_ns
+        if newest_ns is not None and time_ns < newest_ns - JUMP_BACK_NS:
             decided.jumped_back = True
             self._flush(decided, Outcome.CLOCK_JUMP)
-            self._sensors = {each: _Waiting[M]() for each in MATCHED}
-            self._decided_ns = None
+            self._start()
         decided_ns = self._decided_ns
-        if sensor is Sensor.IMAGE and decided_ns is not None and message.time_ns <= decided_ns:
+        if sensor is Sensor.IMAGE and decided_ns is not None and time_ns <= decided_ns:
             decided.discarded.append(Discarded(message, Outcome.LATE))
             return False
-        self._sensors[sensor].add(message)
+        insort(self._waiting(sensor), message, key=_stamp_of)
+        self._remembered[sensor].append(time_ns)
+        self._intervals[sensor].add(time_ns)
         return True
 
     def _decide(self, decided: Decided[M]) -> None:
@@ -211,16 +199,16 @@ class Matcher(ABC, Generic[M]):
         partner = self._partner(image)
         depth = self._older_depth(image) if partner is None else partner
         self._decided_ns = image.time_ns
-        for older in list(self._images):
-            if older.time_ns < image.time_ns:
-                self._images.remove(older)
-                decided.discarded.append(Discarded(older, Outcome.OVERTAKEN))
-        self._images.remove(image)
+        place = self._images.index(image)
+        decided.discarded += [Discarded(each, Outcome.OVERTAKEN) for each in self._images[:place]]
+        del self._images[: place + 1]
         decided.pairs.append(Pair(image, depth, depth is not partner))
         if partner is not None:
             self._keep(decided, partner, None)
-        elif depth is not None:
-            self._mark_reused(decided, depth)
+        elif depth in self._depths:  # later images are farther away in time
+            self._keep(decided, depth, Outcome.REUSED)
+        elif depth is not None and self._kept[depth] is not None:
+            self._kept[depth] = Outcome.REUSED
         for dead in list(self._depths):
             if dead.time_ns < image.time_ns - self._max_skew_ns:  # too old for later images, too
                 self._keep(decided, dead, Outcome.NO_IMAGE)
@@ -228,9 +216,8 @@ class Matcher(ABC, Generic[M]):
 
     def _flush(self, decided: Decided[M], outcome: Outcome) -> None:
         self._decide_images(decided)
-        for depth in list(self._depths):
-            self._depths.remove(depth)
-            decided.discarded.append(Discarded(depth, outcome))
+        decided.discarded += [Discarded(depth, outcome) for depth in self._depths]
+        self._depths.clear()
         self._drop(decided, self._kept)
 
     def _partner(self, image: M) -> M | None:
@@ -245,7 +232,7 @@ class Matcher(ABC, Generic[M]):
 
     def _next_ns(self, sensor: Sensor) -> int:
         """The earliest possible next stamp of a sensor; only after its first message."""
-        intervals = self._sensors[sensor].intervals
+        intervals = self._intervals[sensor]
         assert intervals.newest_ns is not None
         return intervals.newest_ns + (intervals.shortest_ns if self._is_regular else 0)
 
@@ -276,12 +263,6 @@ class Matcher(ABC, Generic[M]):
         self._kept[depth] = outcome
         by_stamp = sorted(self._kept, key=_stamp_of)
         self._drop(decided, by_stamp[: -self._capacity] if self._reuse_ns else by_stamp)
-
-    def _mark_reused(self, decided: Decided[M], depth: M) -> None:
-        if depth in self._depths:  # later images are farther away in time
-            self._keep(decided, depth, Outcome.REUSED)
-        if self._kept.get(depth) is not None:
-            self._kept[depth] = Outcome.REUSED
 
     def _forget_depths(self, decided: Decided[M], image_ns: int) -> None:
         """Drop depth maps before the image, except the newest: no later image can reuse them."""
@@ -322,7 +303,7 @@ class LiveMatcher(Matcher[Message]):
         self._now_ns = message.arrived_ns
         if self._admit(decided, message):
             self._decide(decided)
-            waiting = self._sensors[message.sensor].messages
+            waiting = self._waiting(message.sensor)
             if len(waiting) > self._capacity:
                 decided.discarded.append(Discarded(waiting.pop(0), Outcome.OVERFLOW))
         return decided
@@ -357,8 +338,8 @@ class LiveMatcher(Matcher[Message]):
 
     def _is_due(self, image: Message) -> bool:
         """Whether a depth map may still arrive whose nearest image is this image."""
-        depths = self._sensors[Sensor.DEPTH].intervals
-        images = self._sensors[Sensor.IMAGE].intervals
+        depths = self._intervals[Sensor.DEPTH]
+        images = self._intervals[Sensor.IMAGE]
         period_ns, image_period_ns = depths.period_ns(), images.period_ns()
         if period_ns is None or image_period_ns is None or depths.newest_ns is None:
             return True
@@ -404,7 +385,7 @@ class RecordingMatcher(Matcher[M]):
     def add(self, message: M) -> Decided[M]:
         """Take the next message, and decide what is certain with it."""
         decided = Decided[M]()
-        waiting = self._sensors[message.sensor].messages
+        waiting = self._waiting(message.sensor)
         if len(waiting) >= self._capacity:
             if message.sensor is Sensor.IMAGE:
                 self._decide_image(decided, waiting[0])
@@ -427,7 +408,7 @@ class RecordingMatcher(Matcher[M]):
         return oldest if is_over else None
 
     def _is_over(self, message: M, other: Sensor) -> bool:
-        newest_ns = self._sensors[other].intervals.newest_ns
+        newest_ns = self._intervals[other].newest_ns
         over_ns = message.time_ns + self._max_skew_ns + _MAX_WAIT_NS
         return newest_ns is not None and newest_ns > over_ns
 
