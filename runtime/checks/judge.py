@@ -47,10 +47,13 @@ class Choice(NamedTuple):
     Attributes:
         readings: names of the reading and of those with about the same gain, with their members.
         gain: gain over the view as given, on frames that did not choose it, median.
+        unclear: names of readings that are not told apart from it either, but whose gain over the
+            view as given is not clear.
     """
 
     readings: tuple[tuple[str, str], ...]
     gain: float
+    unclear: tuple[str, ...]
 
 
 def choose(
@@ -71,16 +74,18 @@ def choose(
     best = max(clear, key=lambda name: float(np.median(held_out[name])), default=None)
     if best is None:
         return None
-    equal = [
+    alike = [
         name
-        for name in clear
+        for name in families
         if name == best or not _is_clear(held_out[best] - held_out[name], apart)
     ]
     named = (
         (name, max(families[name], key=lambda each, of=name: families[of][each].mean()))  # type: ignore[misc]
-        for name in equal
+        for name in alike
+        if name in clear
     )
-    return Choice(tuple(named), float(np.median(held_out[best])))
+    unclear = (name for name in alike if name not in clear)
+    return Choice(tuple(named), float(np.median(held_out[best])), tuple(unclear))
 
 
 def _held_out(members: Mapping[str, _Floats]) -> _Floats:
@@ -201,18 +206,15 @@ class Judge:
             findings = [weak] if weak else _nowhere(fit, len(views), len(gains))
         if weak is not None and choice is None:
             return Judgement(tuple(findings), (), tuple(rows), fit, len(views))
-        tried: dict[str, list[float]] = defaultdict(list)  # the gain of each member, median
+        change: dict[str, float] = defaultdict(float)
         for key in gains:
-            of_key = [each.gains[key] for each in self._seen if key in each.gains]
-            tried[key[0]].append(float(np.median(of_key)))
-        if choice is None:
-            apart = (name for name in tried if max(map(abs, tried[name])) >= self._floors[name])
-        else:
-            found = {name for name, _ in choice.readings}
-            limit = choice.gain - _APART
-            apart = (name for name in tried if name in found or max(tried[name]) < limit)
-        tested = tuple(apart)
-        not_tested = tuple(name for name in tried if name not in (*tested, "unit"))
+            tried = [each.gains[key] for each in self._seen if key in each.gains]
+            change[key[0]] = max(change[key[0]], abs(float(np.median(tried))))
+        alike = [name for name in change if change[name] < self._floors[name]]
+        if choice is not None:
+            alike = [*choice.unclear]
+        tested = tuple(name for name in change if name not in alike)
+        not_tested = tuple(name for name in alike if name != "unit")
         return Judgement(tuple(findings), tested, not_tested, fit, len(views))
 
     def _told(self, choice: Choice, views: Sequence[View], fit: FitScores) -> Finding:

@@ -28,13 +28,16 @@ def names(views):
     ([0.05] * 5, [-0.2] * 5, []),  # too little
     ([1.2, -0.5, 0.9, -0.6, 0.4], [0.0] * 5, []),  # by chance
     ([0.5] * 5, [0.49] * 5, ["first", "second"]),  # equal effect
+    ([0.11] * 5, [0.095] * 5, ["first"]),  # not told apart, and no clear gain
     ([0.3] * 5, [0.5] * 5, ["second"]),
     ([0.4], [0.1], ["first"]),
-], ids=["clear", "too little", "by chance", "equal", "better", "one frame"])  # fmt: skip
+], ids=["clear", "too little", "by chance", "equal", "unclear", "better", "one frame"])  # fmt: skip
 def test_a_reading_must_be_clearly_better(first, second, chosen):
     gains = {("first", ""): np.array(first), ("second", ""): np.array(second)}
     choice = choose(gains, FLOORS)
     assert [name for name, _ in choice.readings] == chosen if chosen else choice is None
+    if choice is not None:
+        assert choice.unclear == (("second",) if second == [0.095] * 5 else ())
 
 
 def test_members_are_chosen_on_other_frames_than_they_are_judged_by():
