@@ -68,28 +68,26 @@ class StreamResult:
     interrupted: bool
 
 
-class ReadFrame(Protocol):
-    """Reads a frame; returns it and the time that reading took [ms]. Raises InputError."""
+class FrameReader:
+    """Reads the frames of a source, the first ones only once for warm-up, check and run."""
+
+    def __init__(self, source: Source) -> None:
+        self._source = source
+        self._kept: dict[int, tuple[Frame, float]] = {}
 
     def __call__(self, listed: ListedFrame, *, keep: bool = False) -> tuple[Frame, float]:
-        """Read a frame unless it is kept; with `keep`, it is kept until it is read again."""
+        """Read a frame unless it is kept; return it and the time that reading took [ms].
 
-
-def frame_reader(source: Source) -> ReadFrame:
-    """Return a function that reads frames, the first ones only once for warm-up, check and run."""
-    kept: dict[int, tuple[Frame, float]] = {}
-
-    def read(listed: ListedFrame, *, keep: bool = False) -> tuple[Frame, float]:
-        timed = kept.pop(listed.sequence, None)
+        With `keep`, the frame is kept until it is read again. Raises InputError.
+        """
+        timed = self._kept.pop(listed.sequence, None)
         if timed is None:
             started = time.perf_counter()
-            frame = source.read(listed)
+            frame = self._source.read(listed)
             timed = frame, (time.perf_counter() - started) * 1e3
         if keep:
-            kept[listed.sequence] = timed
+            self._kept[listed.sequence] = timed
         return timed
-
-    return read
 
 
 class Output(Protocol):
@@ -145,7 +143,7 @@ class StreamRun:
     def __init__(
         self,
         answerer: Answerer,
-        read: ReadFrame,
+        read: FrameReader,
         options: RunOptions,
         outputs: Outputs,
         on_record: OnRecord,

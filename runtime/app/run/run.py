@@ -111,7 +111,7 @@ class _CameraStream:
             source.rectify_images()
         listed = source.list_frames(limit=options.limit)
         self._source, self._predictor = source, predictor
-        self._frames, self._read = listed[options.part], pipeline.frame_reader(source)
+        self._frames, self._read = listed[options.part], pipeline.FrameReader(source)
         self._focal_px = focal_px = known_focal_length_px(predictor, source.calibration)
         self._kinds = _answered_kinds(options, predictor, focal_px)
         self._size = size = _warm_up(predictor, self._frames, self._read, runs=options.warmup)
@@ -266,7 +266,7 @@ def _header_faults(
         yield Finding(NO_MATCH, text, Severity.FAULT)
 
 
-def _read_first_frames(listed: Sequence[ListedFrame], read: pipeline.ReadFrame) -> list[Frame]:
+def _read_first_frames(listed: Sequence[ListedFrame], read: pipeline.FrameReader) -> list[Frame]:
     """Return the first frames that have depth and can be read; they are kept for the run."""
     frames = []
     for each in listed[:FIRST_FRAMES]:
@@ -289,7 +289,7 @@ def _depth_scale_of(source: Source, listed: Sequence[ListedFrame]) -> float | No
 
 
 def _warm_up(
-    predictor: Predictor, frames: Sequence[ListedFrame], read: pipeline.ReadFrame, *, runs: int
+    predictor: Predictor, frames: Sequence[ListedFrame], read: pipeline.FrameReader, *, runs: int
 ) -> tuple[int, int] | None:
     """Warm up at the size of the first frame that can be predicted, and return that size.
 

@@ -13,7 +13,7 @@ import runtime.app.run.pipeline
 import runtime.recordings.images
 from runtime import OutputError, Predictor
 from runtime.app.run.options import RunOptions
-from runtime.app.run.pipeline import Outputs, StreamRun, frame_reader
+from runtime.app.run.pipeline import FrameReader, Outputs, StreamRun
 from runtime.recordings.folders import FolderSource
 from runtime.streams.answerer import Answerer
 from runtime.streams.stream_checks import StreamChecks
@@ -30,7 +30,7 @@ def run(
     on_record=lambda record: None, stop=lambda: False, **options,
 ):  # fmt: skip
     source = FolderSource(folders[0], depth=folders[1])
-    reader = frame_reader(SimpleNamespace(read=read or source.read))
+    reader = FrameReader(SimpleNamespace(read=read or source.read))
     answerer = Answerer(predictor, StreamChecks(check_depth=False))
     outputs = Outputs([SimpleNamespace(write=write)] if write else [])
     given = RunOptions(demo=True, **options)

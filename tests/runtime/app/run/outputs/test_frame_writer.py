@@ -1,6 +1,7 @@
 """What is written is what was predicted, whole or not at all, and only in a folder of our own."""
 
 import dataclasses
+import importlib.util
 from pathlib import Path
 
 import cv2
@@ -12,6 +13,7 @@ from runtime import OutputError
 from runtime.app.run.options import KINDS, RunOptions
 from runtime.app.run.outputs import frame_writer
 from runtime.app.run.outputs.frame_writer import FrameWriter
+from runtime.app.run.outputs.mcap import open_mcap
 from runtime.files.atomic_write import atomic_file
 from runtime.recordings.images import read_sparse_depth
 
@@ -71,8 +73,14 @@ def test_depth_that_a_png_cannot_hold_is_counted(tmp_path, open_run, answered):
     make_run_folder(tmp_path / "out", kinds=("depth", "uncertainty"), names=("a",))
     run = open_run(out=tmp_path / "out", kinds=("depth", "uncertainty"))
     prediction = dataclasses.replace(result.prediction, heads=heads)
-    FrameWriter(run).write(frame, dataclasses.replace(result, prediction=prediction))
+    result = dataclasses.replace(result, prediction=prediction)
+    FrameWriter(run).write(frame, result)
     assert run.beyond_png == {"depth": 7, "uncertainty": 0}
+    if importlib.util.find_spec("rosbags"):
+        run = open_run(mcap=tmp_path / "a.mcap")
+        with open_mcap(run) as mcap:
+            mcap.write(frame, result)
+        assert +run.beyond_png == {"depth in the MCAP file": 7}
     again = read_sparse_depth(tmp_path / "out/depth/a.png")
     assert np.isnan(again[3, :7]).all()
     assert (again[4:] == 20).all()

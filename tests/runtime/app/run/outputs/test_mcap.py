@@ -133,19 +133,6 @@ def test_what_is_degraded_is_a_warning(tmp_path, answered, model_file, open_run)
     assert "/ssdnet/depth_uncertainty/compressed" not in topics, "the model has no such head"
 
 
-def test_depth_that_its_pictures_cannot_hold_is_counted(tmp_path, answered, open_run):
-    frame, result = answered
-    far = np.full_like(result.prediction.depth, 20)
-    far[3, :7] = 300
-    prediction = dataclasses.replace(
-        result.prediction, heads={**result.prediction.heads, "depth": far}
-    )
-    run = open_run(mcap=tmp_path / "a.mcap")
-    with open_mcap(run) as mcap:
-        mcap.write(frame, dataclasses.replace(result, prediction=prediction))
-    assert +run.beyond_png == {"depth in the MCAP file": 7}
-
-
 def test_frames_without_stamps_come_at_the_rate(tmp_path, run):
     assert run("--save", "none", "--mcap", tmp_path / "a.mcap", "--rate", 1000).exit_code == 0
     times_ns = [

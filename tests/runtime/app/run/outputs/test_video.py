@@ -63,13 +63,6 @@ def test_frames_of_other_sizes_get_that_of_the_first(tmp_path, answered, open_ru
     assert pictures[1].mean() > 5
 
 
-def test_a_run_without_frames_has_no_video(tmp_path, open_run):
-    (tmp_path / "a.mp4").write_text("of before")
-    with open_video(open_run(video=tmp_path / "a.mp4")):
-        pass
-    assert [path.name for path in tmp_path.iterdir()] == ["model.onnx"]
-
-
 def test_a_full_disk_is_an_output_error(mount_disk, answered, open_run):
     folder = mount_disk(64)
     noise = np.random.default_rng(0)
