@@ -193,17 +193,7 @@ def read_labels(
     )
     if palette is None and not _are_colored(labels):
         return classes, {"label_ids": dict(enumerate(names))} if ignored else {}
-    return classes, {"label_colors": _by_color(names, colors, path, labels, palette)}
-
-
-def _by_color(
-    names: Sequence[str],
-    colors: Sequence[Color | None],
-    path: Path,
-    labels: Path,
-    palette: Palette | None,
-) -> Mapping[str, str]:
-    table = {_VOC_BORDER: IGNORED} if palette == "voc" else {}
+    by_color = {_VOC_BORDER: IGNORED} if palette == "voc" else {}
     for name, color in zip(names, colors, strict=True):
         if color is None:
             raise InputError(
@@ -211,12 +201,12 @@ def _by_color(
                 f"{name}: write it behind the name, {name} 128 64 128, or give --palette"
             )
         key = ",".join(map(str, color))
-        if table.setdefault(key, name) != name:
+        if by_color.setdefault(key, name) != name:
             raise InputError(
-                f"{path}: {table[key]} and {name} have the colour {key}, in which labels cannot "
+                f"{path}: {by_color[key]} and {name} have the colour {key}, in which labels cannot "
                 "be told apart: give each its own"
             )
-    return table
+    return classes, {"label_colors": by_color}
 
 
 def _are_colored(labels: Path) -> bool:

@@ -45,20 +45,15 @@ class ColorReader:
         index = np.searchsorted(self._colors, run).clip(max=len(self._colors) - 1)
         unlisted = self._colors[index] != run
         if unlisted.any():
-            raise DatasetError(f"{path}: {self._describe(run[unlisted], lengths[unlisted], size)}")
+            colors, places = np.unique(run[unlisted], return_inverse=True)
+            shares = np.bincount(places, weights=lengths[unlisted]) / color.size
+            often = np.argsort(-shares)[:_NAMED]
+            named = (f"{tuple(int(colors[i]).to_bytes(3, 'big'))} {shares[i]:.2%}" for i in often)
+            advice = "so many are mixtures, of smoothed edges or JPEG: export it without both"
+            raise DatasetError(
+                f"{path}: {len(colors)} colours are not in {self._where}, {shares.sum():.2%} of "
+                f"the pixels ({', '.join(named)}): "
+                f"{self._advice if len(colors) < _MIXED else advice}"
+            )
         ids: NDArray[np.uint8] = np.repeat(self._ids[index], lengths)
         return ids.reshape(size)
-
-    def _describe(
-        self, run: NDArray[np.int32], lengths: NDArray[np.int64], size: tuple[int, int]
-    ) -> str:
-        """Describe runs of unlisted colours: which, how often, and why."""
-        colors, places = np.unique(run, return_inverse=True)
-        shares = np.bincount(places, weights=lengths) / (size[0] * size[1])
-        often = np.argsort(-shares)[:_NAMED]
-        named = (f"{tuple(int(colors[i]).to_bytes(3, 'big'))} {shares[i]:.2%}" for i in often)
-        text = f"{len(colors)} colours are not in {self._where}, {shares.sum():.2%} of the pixels "
-        text += f"({', '.join(named)}): "
-        if len(colors) < _MIXED:
-            return text + self._advice
-        return f"{text}so many are mixtures, of smoothed edges or JPEG: export it without both"

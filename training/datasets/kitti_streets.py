@@ -74,7 +74,12 @@ class KittiStreetsRecipe(RangeRecipe):
         names = [frame.name for frame in taken]
         require_files(scans, "velodyne_fov's .bin files", names, "{}.bin")
         disparities = require_files(folder / "disp_occ_0", "the disparities", names)
-        focal_baseline, truth = _read_focal_baseline(folder / "calib.txt"), dict[str, Truth]()
+        calibration, truth = folder / "calib.txt", dict[str, Truth]()
+        focal_baseline = float(NumbersFile(calibration).matrix("fb_disp", 1, 1)[0, 0])
+        if not focal_baseline > 0:
+            raise DatasetError(
+                f"{calibration}: fb_disp is {focal_baseline}, expected a positive number"
+            )
         if self.truth == "accumulated":
             truth["depth"] = Truth(disparities, partial(_read_disparity, focal_baseline))
         if (folder / "road_mask").is_dir():
@@ -114,11 +119,3 @@ def _place(number: int) -> str | None:
     """Name the place of a validation frame by its first frame; None for the other frames."""
     index = bisect_right(_PLACES, number)
     return f"{_PLACES[index - 1]:06d}" if 0 < index < len(_PLACES) else None
-
-
-def _read_focal_baseline(path: Path) -> float:
-    """Return the focal length times the baseline [px m]."""
-    focal_baseline = float(NumbersFile(path).matrix("fb_disp", 1, 1)[0, 0])
-    if not focal_baseline > 0:
-        raise DatasetError(f"{path}: fb_disp is {focal_baseline}, expected a positive number")
-    return focal_baseline

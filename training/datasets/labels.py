@@ -98,7 +98,12 @@ class LabelledRecipe(RangeRecipe):
             ids_of = {self._colors[text]: index for text, index in named.items()}
             advice = "name each, or list it as a class that is left out by --ignore"
             return ColorReader(ids_of, "label_colors", advice)
-        ids = self._read_ids(classes, names)
+        if self.label_ids:
+            ids = {self.ignore: NO_CLASS, **self._find("label_ids", self.label_ids, names)}
+        elif self.label_classes is not None:
+            ids = {**file_ids(self.label_classes, classes, TRAIN_LABELS), self.ignore: NO_CLASS}
+        else:
+            ids = {**{index: index for index in range(len(names))}, self.ignore: NO_CLASS}
         return LabelReader(ids, partial(_advise, None if self.label_classes else names, ids))
 
     def lacking_ids(self, classes: ClassTable) -> tuple[int, ...]:
@@ -115,15 +120,6 @@ class LabelledRecipe(RangeRecipe):
                 f"{key}: {unknown[0]!r} is no class of model.classes: give one of {', '.join(ids)}"
             )
         return {entry: ids[name] for entry, name in table.items()}
-
-    def _read_ids(self, classes: ClassTable, names: Sequence[str]) -> Mapping[int, int]:
-        """Return the id in the class table for each id in the files, `NO_CLASS` for none."""
-        if self.label_ids:
-            return {self.ignore: NO_CLASS, **self._find("label_ids", self.label_ids, names)}
-        ids = {index: index for index in range(len(names))}
-        if self.label_classes is not None:
-            ids = file_ids(self.label_classes, classes, TRAIN_LABELS)
-        return {**ids, self.ignore: NO_CLASS}
 
 
 def _advise(names: Sequence[str] | None, ids: Mapping[int, int], unknown: Sequence[int]) -> str:

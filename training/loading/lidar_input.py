@@ -2,9 +2,7 @@
 
 from dataclasses import replace
 
-import numpy as np
 from numpy.random import Generator
-from numpy.typing import NDArray
 
 from training.datasets.sample import Sample
 from training.lidar.faults import absorb, drop_sectors, misalign
@@ -18,22 +16,17 @@ _RECORDED_SHARE = (0.05, 0.8)
 
 
 def draw_lidar(sample: Sample, config: AugmentConfig, rng: Generator) -> Sample:
-    """Choose the LiDAR input and the depth target, see `training.lidar.split`."""
+    """Choose the LiDAR input and the depth target, see `training.lidar.split`.
+
+    Faults of the LiDAR come with their probabilities.
+    """
     lidar = _choose_lidar(sample, config, rng)
     first_line = int(rng.integers(SENSOR_LINES))
     if lidar.lines > SENSOR_LINES:  # more than any recorded scan has: simulated
         sample = replace(sample.with_returns(None), scan_line=None)
     split = split_lidar(sample, lidar, rng, same_target=False, first_line=first_line)
     assert split is not None  # `_choose_lidar` takes what the sample has
-    fed = _disturb(split.fed, sample, config, rng)
-    return sample.with_returns(fed).with_targets(depth=split.target)
-
-
-def _disturb(
-    fed: NDArray[np.float32], sample: Sample, config: AugmentConfig, rng: Generator
-) -> NDArray[np.float32]:
-    """Apply faults of the LiDAR (misalignment, dropout, absorption) with their probabilities."""
-    intrinsics = sample.intrinsics
+    fed, intrinsics = split.fed, sample.intrinsics
     is_misaligned = config.lidar_misaligned and rng.random() < config.lidar_misaligned
     if is_misaligned and intrinsics is not None and fed.any():
         fed = misalign(fed, intrinsics, rng)
@@ -41,7 +34,7 @@ def _disturb(
         fed = drop_sectors(fed, rng)
     if config.lidar_absorbed and rng.random() < config.lidar_absorbed:
         fed = absorb(fed, sample.semantic, rng)
-    return fed
+    return sample.with_returns(fed).with_targets(depth=split.target)
 
 
 def _choose_lidar(sample: Sample, config: AugmentConfig, rng: Generator) -> LidarInput:

@@ -4,7 +4,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.random import Generator
 from torch.utils.data import Dataset
 
 from training.datasets.sample import ChangedSource, Sample, SampleSource
@@ -31,16 +30,12 @@ class CachedSource(ChangedSource):
         if index in self._kept:
             return self._kept[index]
         sample = self._source[index]
-        size = _bytes_of(sample)
+        arrays = (sample.rgb, sample.returns, sample.scan_line, *sample.targets.values())
+        size = sum({id(array): array.nbytes for array in arrays if array is not None}.values())
         if size <= self._free:
             self._free -= size
             self._kept[index] = sample
         return sample
-
-
-def _bytes_of(sample: Sample) -> int:
-    arrays = (sample.rgb, sample.returns, sample.scan_line, *sample.targets.values())
-    return sum({id(array): array.nbytes for array in arrays if array is not None}.values())
 
 
 @dataclass(frozen=True)
@@ -52,6 +47,7 @@ class MixturePart:
     augment: AugmentConfig
 
 
+@dataclass(eq=False, kw_only=True)
 class Mixture(Dataset[Drawn]):
     """`length` augmented samples; the i-th is a pure function of the parts, seed, length and i.
 
@@ -61,23 +57,20 @@ class Mixture(Dataset[Drawn]):
     With `pair_shift` a sample has two views. Crops may be chosen for the classes `rare`.
     """
 
-    def __init__(
-        self,
-        parts: Sequence[MixturePart],
-        *,
-        length: int,
-        seed: int,
-        depth: DepthTarget,
-        pair_step: int,
-        rare: Sequence[int],
-    ) -> None:
-        self._parts, self._seed, self._rare = parts, seed, rare
-        self._depth, self._pair_step = depth, pair_step
-        weights = np.array([part.weight for part in parts], dtype=np.float64)
-        rng = np.random.default_rng([seed, 0])
-        self._part = rng.choice(len(parts), size=length, p=weights / weights.sum())
-        self._frame = np.empty(length, dtype=np.int64)
-        for index, part in enumerate(parts):
+    parts: Sequence[MixturePart]
+    length: int
+    seed: int
+    depth: DepthTarget
+    pair_step: int
+    rare: Sequence[int]
+
+    def __post_init__(self) -> None:
+        """Draw the set and the frame of each sample."""
+        weights = np.array([part.weight for part in self.parts], dtype=np.float64)
+        rng = np.random.default_rng([self.seed, 0])
+        self._part = rng.choice(len(self.parts), size=self.length, p=weights / weights.sum())
+        self._frame = np.empty(self.length, dtype=np.int64)
+        for index, part in enumerate(self.parts):
             drawn = np.nonzero(self._part == index)[0]
             frames = len(part.source)
             passes = -(-len(drawn) // frames)
@@ -85,28 +78,24 @@ class Mixture(Dataset[Drawn]):
             self._frame[drawn] = np.concatenate(order)[: len(drawn)] if order else 0
 
     def __len__(self) -> int:
-        return len(self._part)
+        return self.length
 
     def __getitem__(self, index: int) -> Drawn:
-        part = self._parts[self._part[index]]
-        rng = np.random.default_rng([self._seed, 1, index])
-        target = self._depth
+        part, target = self.parts[self._part[index]], self.depth
+        rng = np.random.default_rng([self.seed, 1, index])
         sample = part.source[int(self._frame[index])]
         if part.augment.restyle and rng.random() < part.augment.restyle:
-            sample = self._restyle(sample, rng)
-        sample = augment(sample, with_margin(part.augment), rng, target, self._rare)
+            # Its colours become nearer to those of an image of any set.
+            source = self.parts[int(rng.integers(len(self.parts)))].source
+            other = source[int(rng.integers(len(source)))]
+            sample = sample.with_image(move_histograms(sample.rgb, other.rgb, rng.random()))
+        sample = augment(sample, with_margin(part.augment), rng, target, self.rare)
         views: tuple[Sample, ...] = (sample,)
         offset = (0, 0)
         if part.augment.pair_shift:
-            first, second, offset = take_views(sample, part.augment, rng, step=self._pair_step)
+            first, second, offset = take_views(sample, part.augment, rng, step=self.pair_step)
             views = first, second
         views = scale_world(views, part.augment, rng, max_depth_m=target.max_depth_m)
         if target.sky is not None:
             views = tuple(far_sky(view, target.sky, target.sky_depth_m) for view in views)
         return Drawn(views, offset)
-
-    def _restyle(self, sample: Sample, rng: Generator) -> Sample:
-        """Return a sample whose colours are nearer to those of an image of any set."""
-        source = self._parts[int(rng.integers(len(self._parts)))].source
-        other = source[int(rng.integers(len(source)))]
-        return sample.with_image(move_histograms(sample.rgb, other.rgb, rng.random()))

@@ -45,7 +45,7 @@ def read_batches(task: Task, step: int) -> Iterator[Iterator[Batch]]:
     workers = _fitting_workers(task)
     loader = DataLoader(
         Mixture(
-            parts,
+            parts=parts,
             length=steps * per_step,
             seed=task.data.seed,
             depth=task.depth_target,

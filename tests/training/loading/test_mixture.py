@@ -18,7 +18,7 @@ from training.losses.consistency import semantic_consistency_loss
 
 def mix(parts, **options):
     plain = {"depth": DepthTarget(), "pair_step": PAIR_STEP_PX, "rare": ()}
-    return Mixture(parts, **plain | options)
+    return Mixture(parts=parts, **plain | options)
 
 
 def numbered(length, offset, noise=0):
