@@ -6,9 +6,8 @@ import cv2
 import numpy as np
 import pytest
 
-from painted_street import EXTRINSICS
+from painted_street import EXTRINSICS, turned_extrinsics
 from runtime import Predictor
-from runtime.checks.fit import rotation
 from runtime.geometry.calibration import Calibration
 from runtime.recordings.bundled_stream import BUNDLED_FOCAL_LENGTH_PX, bundled_frames
 from runtime.streams.frame import Frame
@@ -43,8 +42,7 @@ def turned():
     """Turn the LiDAR of a frame by yaw, pitch and roll [degrees]: its calibration is wrong so."""
 
     def turn(frame, angles):
-        extrinsics = frame.calibration.extrinsics.copy()
-        extrinsics[:3, :3] = rotation(angles) @ extrinsics[:3, :3]
+        extrinsics = turned_extrinsics(angles, frame.calibration.extrinsics)
         return replace(frame, calibration=replace(frame.calibration, extrinsics=extrinsics))
 
     return turn

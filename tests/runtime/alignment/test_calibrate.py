@@ -6,19 +6,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from painted_street import EXTRINSICS, paint, scan_of, street, street_frame
+from painted_street import EXTRINSICS, paint, scan_of, street, street_frame, turned_extrinsics
 from runtime import InputError, Predictor, Rig, calibrate, open_source
 from runtime.alignment.calibrate import Verdict, count_scenes, judge, uncertainty_of
 from runtime.checks.fit import rotation
 from runtime.checks.search import Optimum
 
 TURN = np.array([2.5, -1.5, 0])
-
-
-def turned_extrinsics():
-    extrinsics = EXTRINSICS.copy()
-    extrinsics[:3, :3] = rotation(TURN) @ EXTRINSICS[:3, :3]
-    return extrinsics
 
 
 def judged(extrinsics=EXTRINSICS, **options):
@@ -40,7 +34,7 @@ def test_the_right_calibration_is_right():
 
 
 def test_a_rotation_is_measured_and_taken_back():
-    result = judged(turned_extrinsics())
+    result = judged(turned_extrinsics(TURN))
     assert result.verdict is Verdict.OFF, result.reason
     assert (np.abs(result.off_degrees - TURN) < result.within_degrees).all()
     assert re.match(r"off by yaw \+2\.\d\d \+- 0.*pitch -1\.", result.reason)
@@ -52,9 +46,7 @@ def test_a_rotation_is_measured_and_taken_back():
 
 
 def test_only_one_axis_may_be_off():
-    extrinsics = EXTRINSICS.copy()
-    extrinsics[:3, :3] = rotation((2.5, 0, 0)) @ EXTRINSICS[:3, :3]
-    assert judged(extrinsics).verdict is Verdict.OFF
+    assert judged(turned_extrinsics((2.5, 0, 0))).verdict is Verdict.OFF
 
 
 @pytest.mark.parametrize(("extrinsics", "scans", "verdict", "said"), [
@@ -78,8 +70,8 @@ def test_another_reading_is_named_and_writes_no_calibration(extrinsics, scans, v
 
 def test_the_scans_of_other_frames_beside_a_wrong_rotation_are_no_fault_of_the_pairing():
     beside = [{"the frame before": scan_of(paint(seed))} for seed in range(4)]
-    views = [street(seed, turned_extrinsics(), beside=beside[seed - 1]) for seed in range(4)]
-    result = judge(views, street_frame(0, turned_extrinsics()).calibration, street_frame(0))
+    views = [street(seed, turned_extrinsics(TURN), beside=beside[seed - 1]) for seed in range(4)]
+    result = judge(views, street_frame(0, turned_extrinsics(TURN)).calibration, street_frame(0))
     assert result.verdict is Verdict.OFF, result.reason
 
 

@@ -5,6 +5,7 @@ from types import SimpleNamespace
 import cv2
 import numpy as np
 
+from runtime.checks.fit import rotation
 from runtime.checks.judge import Judge
 from runtime.geometry.calibration import Calibration
 from runtime.streams.frame import Frame
@@ -14,6 +15,13 @@ from runtime.streams.messages import Depth, Image, Scan
 # From a LiDAR (x ahead, z up), 0.3 m beside the camera, to the camera.
 EXTRINSICS = np.array([[0, -1, 0, 0.3], [0, 0, -1, 0], [1, 0, 0, 0], [0, 0, 0, 1.0]])
 FOCAL, SIZE = 240.0, (120, 360)
+
+
+def turned_extrinsics(angles, given=EXTRINSICS):
+    """These extrinsics turned by yaw, pitch and roll [degrees]."""
+    extrinsics = given.copy()
+    extrinsics[:3, :3] = rotation(angles) @ extrinsics[:3, :3]
+    return extrinsics
 
 
 def paint(seed, *, boxes=9):

@@ -3,7 +3,14 @@
 import numpy as np
 import pytest
 
-from painted_street import EXTRINSICS, scan_of, street, street_answer, street_frame
+from painted_street import (
+    EXTRINSICS,
+    scan_of,
+    street,
+    street_answer,
+    street_frame,
+    turned_extrinsics,
+)
 from runtime.checks.fit import FitScores, fit_of, rotation, turned
 from runtime.checks.search import find_rotation, held_out_gain
 from runtime.contract.degraded import IMAGE_CONSTANT
@@ -64,9 +71,7 @@ def test_a_wrong_unit_lowers_the_score_and_a_usual_ratio_does_not():
 def test_a_turn_of_several_degrees_is_measured():
     right = find_rotation([street(seed) for seed in range(3)])
     turn = np.array([4, -1, 3])
-    extrinsics = EXTRINSICS.copy()
-    extrinsics[:3, :3] = rotation(turn) @ EXTRINSICS[:3, :3]
-    views = [street(seed, extrinsics) for seed in range(3)]
+    views = [street(seed, turned_extrinsics(turn)) for seed in range(3)]
     found = find_rotation(views)
     assert (np.abs(found.angles - right.angles + turn) < (0.15, 0.3, 0.6)).all()
     assert (found.error > 0.01).all(), "the frames differ"

@@ -3,20 +3,11 @@
 import numpy as np
 import pytest
 
+from car_poses import drive
 from runtime.checks.poses import PosedScan, PoseJudge
 from runtime.geometry.poses import PoseTrack
 
-N, STEP_NS = 16, 100_000_000
-
-
-def pose(seconds, turn):
-    """Return the pose, LiDAR to world with z up, of a car that drives 10 m/s in a turn [rad/s]."""
-    angle = turn * seconds
-    matrix = np.eye(4)
-    matrix[:2, :2] = [[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]
-    way = [np.sin(angle), 1 - np.cos(angle)] if turn else [angle, 0]
-    matrix[:2, 3] = 10 / turn * np.array(way) if turn else (10 * seconds, 0)
-    return matrix
+N = 16
 
 
 def street():
@@ -36,8 +27,8 @@ WORLD = street()
 
 def finding(read, *, turn=0.0, moves=True):
     """The verdict on a drive whose poses are what `read` makes of the right ones."""
-    right = [pose(0.1 * number if moves else 0.0, turn) for number in range(N)]
-    stamps = [number * STEP_NS for number in range(N)]
+    right, stamps = drive(N, step_ms=100, speed=10, turn=turn or 1e-9)
+    right = right if moves else [np.eye(4)] * N
     track = PoseTrack.of([read(each) for each in right], stamps)
     judging = PoseJudge()
     for stamp, each in zip(stamps, right, strict=True):

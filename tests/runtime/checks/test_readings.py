@@ -7,10 +7,19 @@ import cv2
 import numpy as np
 import pytest
 
-from painted_street import EXTRINSICS, FOCAL, SIZE, judged, paint, scan_of, street, street_map
+from painted_street import (
+    EXTRINSICS,
+    FOCAL,
+    SIZE,
+    judged,
+    paint,
+    scan_of,
+    street,
+    street_map,
+    turned_extrinsics,
+)
 from runtime.checks.catalog import FINDINGS
 from runtime.checks.finding import Severity
-from runtime.checks.fit import rotation
 from runtime.checks.judge import NO_EVIDENCE, NO_RETURNS, NOWHERE
 from runtime.checks.poses import OTHER_POSES, POSES
 from runtime.checks.readings import READINGS
@@ -18,8 +27,7 @@ from runtime.checks.view import LEFT_HALF, UPSIDE_DOWN, Answer
 from runtime.geometry.lens import Lens
 
 # The LiDAR is tilted, so that no two readings have the same effect.
-RIGHT = EXTRINSICS.copy()
-RIGHT[:3, :3] = rotation((12, -8, 5)) @ EXTRINSICS[:3, :3]
+RIGHT = turned_extrinsics((12, -8, 5))
 AXES = np.array([[0, -1, 0, 0], [0, 0, -1, 0], [1, 0, 0, 0], [0, 0, 0, 1.0]])
 QUARTER = np.array([[0, -1, 0, 0], [1, 0, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1.0]])
 HEIGHT, WIDTH = SIZE
@@ -101,9 +109,7 @@ def moved(metres, axis):
 
 
 def turned(angles):
-    given = EXTRINSICS.copy()
-    given[:3, :3] = rotation(angles) @ given[:3, :3]
-    return with_matrix(given, EXTRINSICS)
+    return with_matrix(turned_extrinsics(angles), EXTRINSICS)
 
 
 def of_other_camera(scale):

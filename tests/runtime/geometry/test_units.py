@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from car_poses import pose
 from runtime import Calibration, Predictor
 from runtime.geometry.assumptions import AssumptionWarning
 from runtime.geometry.units import check_field_of_view
@@ -49,20 +50,14 @@ def test_a_principal_point_outside_the_images_is_said(centre):
         Calibration(matrix, np.eye(4)).project(np.zeros((0, 3), np.float32), (240, 640))
 
 
-def mounted(x, y, z):
-    matrix = np.eye(4)
-    matrix[:3, 3] = x, y, z
-    return matrix
-
-
 @pytest.mark.parametrize("shift", [(-0.4, -7.6, -27.0), (4, -76, -270), (3.2, 0, 0)])
 def test_a_mount_in_centimetres_is_said(shift):
     with pytest.warns(AssumptionWarning, match="m from the camera: translations are metres"):
-        Calibration(K, mounted(*shift))
+        Calibration(K, pose(shift))
     with pytest.warns(AssumptionWarning, match="m from the body"):
-        Calibration(K, np.eye(4), body_from_lidar=mounted(95, 0, 173))
+        Calibration(K, np.eye(4), body_from_lidar=pose((95, 0, 173)))
 
 
 @pytest.mark.filterwarnings("error")
 def test_mounts_of_trucks_are_possible():
-    Calibration(K, mounted(1.2, -2, 1.5), body_from_lidar=mounted(6, 0, 3.2))
+    Calibration(K, pose((1.2, -2, 1.5)), body_from_lidar=pose((6, 0, 3.2)))
