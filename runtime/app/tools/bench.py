@@ -42,11 +42,12 @@ _option = option_group()
 
 def _sizes(texts: Sequence[str]) -> list[tuple[int, int]]:
     """The sizes as (height, width)."""
-    found = [re.fullmatch(r"([1-9]\d{0,4})x([1-9]\d{0,4})", each, re.A | re.I) for each in texts]
-    sizes = [(int(sides[1]), int(sides[2])) for sides in found if sides]
-    if len(sizes) < len(texts):
-        wrong = texts[found.index(None)]
-        raise UsageError(f"--size is HEIGHTxWIDTH, as 375x1242, got {shown(wrong)}")
+    sizes = []
+    for text in texts:
+        sides = re.fullmatch(r"([1-9]\d{0,4})x([1-9]\d{0,4})", text, re.ASCII | re.IGNORECASE)
+        if sides is None:
+            raise UsageError(f"--size is HEIGHTxWIDTH, as 375x1242, got {shown(text)}")
+        sizes.append((int(sides[1]), int(sides[2])))
     return sizes
 
 
@@ -111,11 +112,8 @@ def main(**given: Any) -> None:
             f"{machine.python}; {options.rounds} runs in turn{', interrupted' * interrupted}"
         )
         process.print_result("\n\n".join([about, *map(_table, groups)]))
-        if interrupted:
-            raise typer.Exit(process.INTERRUPTED)
-        raise typer.Exit(
-            process.ERROR if any(row.error for group in groups for row in group) else 0
-        )
+        failed = any(row.error for group in groups for row in group)
+        raise typer.Exit(process.INTERRUPTED if interrupted else process.ERROR * failed)
 
 
 @dataclass

@@ -6,7 +6,6 @@ import shutil
 from dataclasses import replace
 from pathlib import Path
 
-import cv2
 import numpy as np
 import onnxruntime
 import pytest
@@ -26,7 +25,7 @@ from runtime.verification.reference import (
 )
 
 HEADS = ("semantic", "depth", "boundary", "depth_uncertainty", "semantic_logits")
-NAMES = ["00000", "00001", "00002"]
+NAMES = ["f0", "f1", "f2"]
 
 
 def run(*arguments):
@@ -38,15 +37,10 @@ def verify(*arguments):
 
 
 @pytest.fixture
-def stream(tmp_path, make_frame) -> list[object]:
-    """Three frames of 48 x 64 as files, and the options that name them."""
-    for folder in ("rgb", "depth"):
-        (tmp_path / folder).mkdir()
-    for seed, name in enumerate(NAMES):
-        rgb, depth = make_frame(seed=seed)
-        cv2.imwrite(str(tmp_path / "rgb" / f"{name}.png"), rgb[..., ::-1])
-        cv2.imwrite(str(tmp_path / "depth" / f"{name}.png"), (depth * 256).astype(np.uint16))
-    return ["--rgb", tmp_path / "rgb", "--depth", tmp_path / "depth", "--save", "none"]
+def stream(make_stream) -> list[object]:
+    """The options that name three frames of 48 x 64."""
+    rgb, depth = make_stream(len(NAMES))
+    return ["--rgb", rgb, "--depth", depth, "--save", "none"]
 
 
 @pytest.fixture
@@ -95,12 +89,12 @@ def test_what_differs_is_one_line_with_its_worst_frame(recording, head, change, 
     assert lines[-1] == "1 of 3 frames differ from the reference"
     assert "\n  " not in result.output, "no line a frame"
     words = [line.split() for line in lines]
-    (line,) = [each for each in words if each[-2:] == ["1", "00001"]]
+    (line,) = [each for each in words if each[-2:] == ["1", "f1"]]
     assert line[: 1 + len(reported)] == [head, *reported]
     rows = json.loads(verify(recording, "--json", "-").output)["figures"]
     beyond = [row for row in rows if row["frames_beyond"]]
     (row,) = beyond
-    assert (row["head"], row["figure"], row["frame"]) == (head, reported[0], "00001")
+    assert (row["head"], row["figure"], row["frame"]) == (head, reported[0], "f1")
     assert row["worst"] is None or row["worst"] != row["limit"]
 
 
@@ -109,7 +103,7 @@ def test_answers_of_another_shape_are_reported_once(recording):
         spoil(recording, index, "depth", lambda values: values[:-1])
     result = verify(recording)
     assert result.exit_code == 4
-    expected = "  depth: shape (48, 64), expected (47, 64) (2 frames, the first is 00001)"
+    expected = "  depth: shape (48, 64), expected (47, 64) (2 frames, the first is f1)"
     assert expected in result.output.splitlines()
 
 
@@ -178,7 +172,7 @@ def test_a_recording_is_unpacked_into_plain_files(recording, tmp_path):
     assert manifest["model"]["sha256"] == read.model_sha256
     assert manifest["limits"] == read.limits
     frame = manifest["frames"][1]
-    assert frame["name"] == "00001"
+    assert frame["name"] == "f1"
     assert frame["network_size"] == [40, 56]
     assert sorted(frame["arrays"]) == sorted(["rgb", "sparse_depth", *HEADS])
     for name, expected in read.arrays(1).items():
@@ -226,7 +220,7 @@ def test_other_flags_than_recorded_are_reported(recording):
     edit_frames(recording, degraded=["no_depth"])
     result = verify(recording)
     assert result.exit_code == 4
-    expected = "  degraded: none, expected no_depth (3 frames, the first is 00000)"
+    expected = "  degraded: none, expected no_depth (3 frames, the first is f0)"
     assert expected in result.output.splitlines()
     edit_frames(recording, degraded=None)  # not known
     assert verify(recording).exit_code == 0
@@ -258,7 +252,7 @@ def test_another_model_is_held_against_the_recorded_answers(recording, model_fil
     failed = verify(recording)
     assert failed.exit_code == 4
     assert "  the session failed on a frame of 40 x 56" in failed.output
-    assert "(3 frames, the first is 00000)" in failed.output
+    assert "(3 frames, the first is f0)" in failed.output
 
 
 def test_a_changed_or_damaged_recording_is_an_error(recording, model_file):
@@ -273,10 +267,10 @@ def test_a_changed_or_damaged_recording_is_an_error(recording, model_file):
 def test_only_frames_with_an_answer_are_recorded_and_none_do_not_pass(tmp_path, stream, model_file):
     options = [*stream, "--model", model_file(), "--out", tmp_path / "out", "--overwrite"]
     options += ["--record", tmp_path / "recording"]
-    (tmp_path / "rgb" / "00000.png").write_bytes(b"no picture")
+    (tmp_path / "cam" / "f0.png").write_bytes(b"no picture")
     assert run(*options).exit_code == 3
     assert [frame.name for frame in read_reference(tmp_path / "recording").frames] == NAMES[1:]
-    for path in (tmp_path / "rgb").iterdir():
+    for path in (tmp_path / "cam").iterdir():
         path.write_bytes(b"no picture")
     assert run(*options).exit_code == 3
     result = verify(tmp_path / "recording")
