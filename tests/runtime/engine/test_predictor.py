@@ -132,21 +132,18 @@ def test_nan_and_inf_in_an_answer_are_never_passed_on_silently(model_file, make_
     assert reasons == ("no_depth", "image_constant", "boundary_not_finite")
 
 
-def test_after_bad_input_the_predictor_is_as_good_as_new(model_file, make_frame):
+def test_after_an_error_the_predictor_is_as_good_as_new(model_file, make_frame):
     rgb, depth = make_frame()
-    with Predictor(model_file(size=(48, 64))) as predictor:
-        for bad in [(rgb.astype(np.float32), depth), (rgb, depth[:-1]), (None, None)]:
-            with pytest.raises(InputError):
+    with Predictor(model_file(only_runs_at=(48, 64))) as predictor:
+        for bad, error, said in (
+            ((rgb.astype(np.float32), depth), InputError, "rgb"),
+            ((rgb, depth[:-1]), InputError, "sparse_depth"),
+            ((None, None), InputError, "rgb"),
+            (make_frame(50, 70), InferenceError, "50 x 70"),
+        ):
+            with pytest.raises(error, match=said):
                 predictor.predict(*bad)
             assert_right(predictor.predict(rgb, depth), rgb, depth)
-
-
-def test_after_a_failed_session_the_predictor_is_usable(model_file, make_frame):
-    with Predictor(model_file(only_runs_at=(48, 64))) as predictor:
-        with pytest.raises(InferenceError, match="50 x 70"):
-            predictor.predict(*make_frame(50, 70))
-        rgb, depth = make_frame(48, 64)
-        assert_right(predictor.predict(rgb, depth), rgb, depth)
 
 
 def test_a_closed_predictor_says_so(model_file, make_frame):

@@ -108,20 +108,16 @@ def test_threads_do_not_spin_between_frames(model_file):
         assert options.get_session_config_entry(f"session.{threads}.allow_spinning") == "0"
 
 
-def test_a_silent_fall_back_to_the_cpu_is_an_error(fake_runtime, capsys):
-    fake_runtime({CUDA: fake_session([CPU], [(CPU, "Conv")])})
-    with pytest.raises(ProviderError, match=r"CPUExecutionProvider.*libcudnn"):
-        open_cuda()
-    assert capsys.readouterr().out == "", "the library printed"
-
-
 @pytest.mark.parametrize(("cuda", "cpu", "error", "text"), [
+    # A silent fall-back.
+    (fake_session([CPU], [(CPU, "Conv")]), None, ProviderError, "CPUExecutionProvider.*libcudnn"),
     (fake_session([CUDA, CPU], [(CPU, "Conv")]), None, ProviderError, "Conv on CPUExecution"),
     (RuntimeError("no CUDA device"), fake_session([CPU], []), ProviderError, "no CUDA device"),
     # A damaged model is not blamed on the GPU.
     (*[RuntimeError("Protobuf parsing failed")] * 2, ContractError, "Protobuf parsing failed"),
-], ids=["a convolution on the CPU", "no GPU", "a damaged model"])  # fmt: skip
-def test_cuda_that_cannot_run_the_model(fake_runtime, cuda, cpu, error, text):
+], ids=["only the CPU", "a convolution on the CPU", "no GPU", "a damaged model"])  # fmt: skip
+def test_cuda_that_cannot_run_the_model(fake_runtime, capsys, cuda, cpu, error, text):
     fake_runtime({CUDA: cuda, CPU: cpu})
     with pytest.raises(error, match=text):
         open_cuda()
+    assert capsys.readouterr().out == "", "the library printed"
