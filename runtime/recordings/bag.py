@@ -35,7 +35,7 @@ from runtime.recordings.ros_poses import (
     point_times_s,
     transform_poses,
 )
-from runtime.recordings.ros_topics import COMPRESSED_IMAGE, NO_TOPIC, choose_topic, find_topics
+from runtime.recordings.ros_topics import COMPRESSED_IMAGE, NO_TOPIC, choose_topic
 from runtime.recordings.source import Source, pose_track
 from runtime.streams.frame import Frame
 from runtime.streams.messages import MATCHED, Outcome, Place, Scan, Sensor
@@ -74,13 +74,12 @@ class BagSource(Source):
         self.recordings = (path,)
         try:
             with self.collecting():
-                both = find_topics(self._bag, given.image_topic, given.depth_topic)
-                self._image_topic, self._depth_topic = both
-                self._sensors = BagSensors(self._bag, *both, given, rig)
+                self._sensors = BagSensors(self._bag, given, rig)
+                self._image_topic, self._depth_topic = self._sensors.topics
                 self.calibration = self._sensors.read_calibration()
                 self._pose_topic = self._find_poses()
             self._sensors.read_frames()
-            read = *both, self._sensors.info_topic
+            read = *self._sensors.topics, self._sensors.info_topic
             self._messages = BagMessages(self._bag, [each for each in read if each is not None])
         except BaseException:
             self._bag.close()

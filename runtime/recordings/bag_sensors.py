@@ -18,7 +18,7 @@ from runtime.recordings.ros_answers import FixedTransform, SensorFrames
 from runtime.recordings.ros_bag import RosBag
 from runtime.recordings.ros_camera import CAMERA_INFO, GIVE, SAME_PX, read_camera_calibration
 from runtime.recordings.ros_poses import TransformTree, frame_name, is_world_frame
-from runtime.recordings.ros_topics import POINT_CLOUD, choose_topic, infos_beside
+from runtime.recordings.ros_topics import POINT_CLOUD, choose_topic, find_topics, infos_beside
 
 ODOMETRY = "nav_msgs/msg/Odometry"
 TRANSFORMS = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
@@ -57,22 +57,20 @@ class BagSensors:
 
     Args:
         bag: the bag.
-        image: topic of the images.
-        depth: topic of the depth; None: the camera alone.
         given: the options of the source.
         rig: the sensors of the car; its calibration replaces that of the bag.
 
     Attributes:
+        topics: topics of the images and of the depth; None: the camera alone.
         info_topic: topic of the camera's CameraInfo; None: there is none.
         has_clouds: whether the depth comes as point clouds.
         depth_camera: calibration of the depth images if they are projected, else None.
         tree: the transforms of /tf_static.
     """
 
-    def __init__(
-        self, bag: RosBag, image: str, depth: str | None, given: BagOptions, rig: Rig
-    ) -> None:
+    def __init__(self, bag: RosBag, given: BagOptions, rig: Rig) -> None:
         self._bag, self._rig = bag, rig
+        self.topics = image, depth = find_topics(bag, given.image_topic, given.depth_topic)
         self._image_topic, self._depth_topic = image, depth
         self._rectified, self._registered = given.rectified, given.registered
         self.has_clouds = depth in bag.of_kind(POINT_CLOUD)
@@ -89,10 +87,8 @@ class BagSensors:
         if depth is None or not (self.has_clouds or self._is_apart(depth)):
             if (given := self._rig.read_calibration()) is not None:
                 return given
-            with (
-                contextlib.suppress(InputError),
-                collect_assumptions([]),
-            ):  # here the calibration only gives the focal length
+            # Here the calibration only gives the focal length.
+            with contextlib.suppress(InputError), collect_assumptions([]):
                 return self.camera(image)
             return None
         try:

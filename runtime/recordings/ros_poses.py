@@ -30,6 +30,7 @@ _REMEDY = "`pose_topic=none` leaves scans as they are"
 _LEAST_SHARE, _LEAST_WAY_M = 0.01, 1.0
 # Fixed frames of REP 105, and the names that SLAM programs use for them.
 _FIXED = ("odom", "map", "earth", "world", "camera_init")
+StampedPoses = list[tuple[int, NDArray[np.float64]]]  # time stamps [ns] and poses
 
 
 def odometry_pose(message: Any) -> NDArray[np.float64]:
@@ -137,7 +138,7 @@ def _unit(lowest: float, highest: float, size: int, name: str) -> tuple[int, boo
     )
 
 
-def odometry_poses(messages: Iterable[Any]) -> tuple[str, list[tuple[int, NDArray[np.float64]]]]:
+def odometry_poses(messages: Iterable[Any]) -> tuple[str, StampedPoses]:
     """Return the frame that moves, and the poses of nav_msgs/Odometry with their stamps [ns].
 
     Raises:
@@ -168,9 +169,7 @@ def odometry_poses(messages: Iterable[Any]) -> tuple[str, list[tuple[int, NDArra
     return frames.pop(), poses
 
 
-def transform_poses(
-    messages: Iterable[Any], carriers: Sequence[str]
-) -> tuple[str, list[tuple[int, NDArray[np.float64]]]]:
+def transform_poses(messages: Iterable[Any], carriers: Sequence[str]) -> tuple[str, StampedPoses]:
     """Return the frame that moves, and its poses in /tf with their stamps [ns].
 
     Args:
@@ -181,7 +180,7 @@ def transform_poses(
         InputError: if none of the carriers moves, if it moves in a frame that moves itself (odom,
             map and earth of REP 105 are fixed), and in the cases of `odometry_pose`.
     """
-    moving: dict[str, list[tuple[int, NDArray[np.float64]]]] = {}
+    moving: dict[str, StampedPoses] = {}
     parents: dict[str, str] = {}
     for message in messages:
         for stamped in message.transforms:
