@@ -130,12 +130,8 @@ def test_live_memory_is_bounded_by_dropping_the_oldest():
     for stamp in range(5):
         played.image(stamp * 1000)
         played.depth(stamp * 1000 + 500)
-    assert played.outcomes() == [
-        (IMAGE, 0, Outcome.OVERFLOW),
-        (DEPTH, 500, Outcome.OVERFLOW),
-        (IMAGE, 1000, Outcome.OVERFLOW),
-        (DEPTH, 1500, Outcome.OVERFLOW),
-    ]
+    dropped = (IMAGE, 0), (DEPTH, 500), (IMAGE, 1000), (DEPTH, 1500)
+    assert played.outcomes() == [(*each, Outcome.OVERFLOW) for each in dropped]
 
 
 # --- images without depth of their own -----------------------------------------------------------

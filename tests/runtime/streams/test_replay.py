@@ -210,22 +210,20 @@ def test_a_scan_is_moved_from_its_middle(replay, scan_stamp, stamp_ms):
     assert measured(answer) == expected(600)
 
 
-@pytest.mark.parametrize("fault", ["no_pose", "pose_gap", "pose_jump", "pose_clock"])
+TIMES_MS = range(0, 1500, 10)
+JUMPED = [car(t) @ pose((3 * (t >= 960), 0, 0)) for t in TIMES_MS]
+POSES = {
+    "no_pose": [message("pose", t) for t in TIMES_MS if t < 500],
+    "pose_gap": [message("pose", t) for t in TIMES_MS if not 800 < t < 1200],
+    "pose_jump": [("pose", each, t * MS) for t, each in zip(TIMES_MS, JUMPED, strict=True)],
+    "pose_clock": [("pose", car(t), (10**6 + t) * MS) for t in TIMES_MS],
+}
+
+
+@pytest.mark.parametrize("fault", POSES)
 def test_a_pose_that_is_missing_is_a_flag_that_says_why(replay, fault):
-    recording = []
-    for stamp in range(0, 1500, 10):
-        if stamp == 980:
-            recording += [("points", wall_scan(940), 940 * MS), ("image", image(), 980 * MS)]
-        if fault == "pose_jump":
-            jumped = car(stamp) @ pose((3 * (stamp >= 960), 0, 0))
-            recording.append(("pose", jumped, stamp * MS))
-        elif fault == "pose_clock":
-            recording.append(("pose", car(stamp), (10**6 + stamp) * MS))
-        elif (fault == "no_pose" and stamp < 500) or (
-            fault == "pose_gap" and not 800 < stamp < 1200
-        ):
-            recording.append(message("pose", stamp))
-    (answer,), _ = replay(recording, POSED)
+    frame = ("points", wall_scan(940), 940 * MS), ("image", image(), 980 * MS)
+    (answer,), _ = replay([*POSES[fault], *frame], POSED)
     assert answer.prediction.degraded == ("depth_uncompensated", fault)
     assert measured(answer) == expected(940), "as it is, not moved wrongly"
     assert answer.depth_motion == "none"
