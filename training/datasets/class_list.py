@@ -191,7 +191,11 @@ def read_labels(
         for index, (name, color) in enumerate(zip(names, colors, strict=True))
         if name != IGNORED
     )
-    if palette is None and not _are_colored(labels):
+    listed_labels = labels.iterdir() if palette is None and labels.is_dir() else ()
+    pictures = [each for each in listed_labels if each.suffix.lower() == ".png"]
+    header = read_input(min(pictures))[:26] if pictures else b""
+    are_colored = len(header) > 25 and header[25] in _RGB_TYPES
+    if palette is None and not are_colored:
         return classes, {"label_ids": dict(enumerate(names))} if ignored else {}
     by_color = {_VOC_BORDER: IGNORED} if palette == "voc" else {}
     for name, color in zip(names, colors, strict=True):
@@ -207,14 +211,6 @@ def read_labels(
                 "be told apart: give each its own"
             )
     return classes, {"label_colors": by_color}
-
-
-def _are_colored(labels: Path) -> bool:
-    """Return whether the first label is a PNG with colours instead of ids."""
-    listed = labels.iterdir() if labels.is_dir() else ()
-    files = [path for path in listed if path.suffix.lower() == ".png"]
-    header = read_input(min(files))[:26] if files else b""
-    return len(header) > 25 and header[25] in _RGB_TYPES
 
 
 def _palette(palette: Palette, path: Path, names: Sequence[str]) -> list[Color | None]:

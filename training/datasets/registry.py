@@ -58,11 +58,6 @@ def find_dataset(kind: str) -> type[SourceRecipe] | None:
     return found
 
 
-def list_datasets() -> list[str]:
-    """Return the names of all kinds, for messages."""
-    return list_entries(GROUP, DATASETS)
-
-
 # The tag of data sets of other packages.
 _REGISTERED = "(registered)"
 TAGS |= {**DATASETS, _REGISTERED: SourceRecipe}
@@ -84,9 +79,8 @@ def _read_registered(value: Any) -> SourceRecipe:
         return value
     kind = find_dataset(value["kind"])
     if kind is None:
-        text = (
-            f"unknown kind of data set {value['kind']!r}: give one of {', '.join(list_datasets())}"
-        )
+        known = ", ".join(list_entries(GROUP, DATASETS))
+        text = f"unknown kind of data set {value['kind']!r}: give one of {known}"
         raise PydanticCustomError("registered", "{text}", {"text": text})
     try:
         return build(kind, value)

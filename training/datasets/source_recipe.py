@@ -106,19 +106,15 @@ class RangeRecipe(SourceRecipe):
         Raises:
             DatasetError: if the range has no frame.
         """
-        taken = [
-            frame
-            for place, frame in enumerate(frames)
-            if self._holds(number(frame) if number else place)
-        ]
+        last = float("inf") if self.last is None else self.last
+        parts, taken = self.parts or ((self.first, last),), []
+        for place, frame in enumerate(frames):
+            at = number(frame) if number else place
+            if self.first <= at <= last and any(a <= at <= b for a, b in parts):
+                taken.append(frame)
         if not taken:
             raise DatasetError(
                 f"{folder}: {len(frames)} images, none of them in {self.first}.."
                 f"{'' if self.last is None else self.last}: correct `first`, `last` and `parts`"
             )
         return taken
-
-    def _holds(self, number: int) -> bool:
-        last = float("inf") if self.last is None else self.last
-        parts = self.parts or ((self.first, last),)
-        return self.first <= number <= last and any(a <= number <= b for a, b in parts)

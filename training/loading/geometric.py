@@ -2,7 +2,6 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from functools import partial
 from typing import Any
 
 import cv2
@@ -78,7 +77,15 @@ def cut(sample: Sample, top: int, left: int, window: tuple[int, int]) -> Sample:
     intrinsics = sample.intrinsics
     if intrinsics is not None:
         intrinsics = intrinsics - np.array([[0, 0, left], [0, 0, top], [0, 0, 0]], np.float64)
-    take = partial(_take_window, top=top, left=left, window=window)
+    height, width = window
+
+    def take(array: NDArray[Any], fill: Fill) -> NDArray[Any]:
+        inner = array[max(top, 0) : top + height, max(left, 0) : left + width]
+        above, before = max(-top, 0), max(-left, 0)
+        below, behind = height - above - inner.shape[0], width - before - inner.shape[1]
+        border = cv2.BORDER_CONSTANT
+        return cv2.copyMakeBorder(inner, above, below, before, behind, border, value=fill)
+
     return _change_maps(sample, take, intrinsics)
 
 
@@ -137,17 +144,6 @@ def _random_offset(
         return int(rng.integers(min(0, room), max(0, room) + 1))
 
     return start(size[0] - window[0]), start(size[1] - window[1])
-
-
-def _take_window(
-    array: NDArray[Any], fill: Fill, top: int, left: int, window: tuple[int, int]
-) -> NDArray[Any]:
-    height, width = window
-    inner = array[max(top, 0) : top + height, max(left, 0) : left + width]
-    above, before = max(-top, 0), max(-left, 0)
-    below, behind = height - above - inner.shape[0], width - before - inner.shape[1]
-    border = cv2.BORDER_CONSTANT
-    return cv2.copyMakeBorder(inner, above, below, before, behind, border, value=fill)
 
 
 def choose_crop(

@@ -132,7 +132,12 @@ def _settings(
     if classes is not None:
         settings["model"]["classes"] = classes
     _fit_loss(settings["loss"], table, model.get("classes", classes))
-    _fit_rates(settings["optimizer"], _below(table, "optimizer"))
+    rates = settings["optimizer"]
+    for key in ("learning_rate", "encoder_rate"):  # to those of fine-tuning
+        if rates.get(key) is not None:
+            rates[key] *= RATE_SHARE
+    if _below(table, "optimizer").get("name", rates.get("name")) != rates.get("name"):
+        settings["optimizer"] = {key: rates[key] for key in ("frozen",) if key in rates}
     steps = _below(table, "schedule").get("steps")
     warmup = _below(earlier, "schedule").get("warmup_steps", 0)
     if isinstance(steps, int):
@@ -166,16 +171,6 @@ def _fit_loss(loss: dict[str, Any], table: Mapping[str, Any], classes: object) -
     left_out |= set() if has_road else {"road"}
     weights = _below(loss, "weights")
     loss["weights"] = {name: value for name, value in weights.items() if name not in left_out}
-
-
-def _fit_rates(optimizer: dict[str, Any], wanted: Mapping[str, Any]) -> None:
-    """Lower the rates to those of fine-tuning; for another optimiser no rate is taken over."""
-    for key in ("learning_rate", "encoder_rate"):
-        if optimizer.get(key) is not None:
-            optimizer[key] *= RATE_SHARE
-    if wanted.get("name", optimizer.get("name")) != optimizer.get("name"):
-        for key in set(optimizer) - {"frozen"}:
-            del optimizer[key]
 
 
 def _added(

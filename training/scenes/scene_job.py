@@ -122,7 +122,9 @@ def write_variant(out: Path, frames: Iterable[RenderedFrame], *, overwrite: bool
         for number, frame in enumerate(frames):
             name = f"{number:05d}"
             _write_image(rgb / f"rgb_{name}.jpg", frame.rgb)
-            _write_image(depth / f"depth_{name}.png", _centimetres(frame.depth))
+            centimetres = np.clip(np.rint(frame.depth * 100.0), 1, _SKY - 1).astype(np.uint16)
+            centimetres[frame.depth <= 0] = _SKY
+            _write_image(depth / f"depth_{name}.png", centimetres)
             _write_image(classes / f"classgt_{name}.png", palette[frame.label])
             scan, k = frame.scan, frame.intrinsics
             scan.points.astype("<f4").tofile(lidar / f"lidar_{name}.bin")
@@ -136,11 +138,6 @@ def write_variant(out: Path, frames: Iterable[RenderedFrame], *, overwrite: bool
 
 def _numbers(matrix: Floats) -> str:
     return " ".join(f"{value:.9g}" for value in matrix.ravel())
-
-
-def _centimetres(depth: Floats) -> NDArray[np.uint16]:
-    rounded = np.clip(np.rint(depth * 100.0), 1, _SKY - 1).astype(np.uint16)
-    return np.where(depth > 0, rounded, np.uint16(_SKY))
 
 
 def _write_image(path: Path, image: NDArray[Any]) -> None:
