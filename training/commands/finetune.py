@@ -1,25 +1,23 @@
 """`ssdnet-finetune`: the installed weights, or others, trained on your own folders."""
 
+# ruff: noqa: RUF009 - what is called in classes of options returns a field
+
 import shlex
+from dataclasses import MISSING, dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Any
 
 import typer
 
 import training
-from runtime.command.options import Version
-from training.base.palette import PaletteOption
+from runtime.command.options import with_options
+from training.base.palette import PALETTE_HELP, Palette
 from training.commands.options import (
     EXIT_CODES,
-    Begin,
-    Changes,
-    Device,
-    DryRun,
-    Out,
-    StopAfter,
-    Threads,
+    StepOptions,
     end_run,
     list_options,
+    option,
     print_next_commands,
     training_command,
 )
@@ -27,100 +25,73 @@ from training.commands.options import (
 app = typer.Typer(rich_markup_mode=None, pretty_exceptions_enable=False)
 
 
+@dataclass(frozen=True, kw_only=True)
+class _Frames:
+    """Options that name the frames, and say what their files mean."""
+
+    images: Path = option(
+        "Folder of PNG or JPEG images, or a recording of ssdnet-run.",
+        default=MISSING,
+        kind=typer.Argument,
+    )
+    labels: Path | None = option(
+        "Folder of PNGs of class ids, named like the images, 255 is no class, or of colours that "
+        "--classes or --palette states."
+    )
+    classes: Path | None = option(
+        "Text file with the names of the classes of --labels, one a line, in the order of their "
+        "ids, or with their colours, road 128 64 128; CVAT's labelmap.txt is one."
+    )
+    ignore: list[str] | None = option(
+        "Class of --classes that is not learned: its pixels count as unlabelled; may be repeated.",
+        metavar="CLASS",
+    )
+    palette: Palette | None = option(PALETTE_HELP)
+    depth: Path | None = option(
+        "Folder of LiDAR depth: 16-bit PNGs of metres x 256, named like the images. 0 is no return."
+    )
+    depth_scale: float | None = option("Units of --depth per metre.", min=1e-6, show_default="256")
+    focal_length_px: float | None = option(
+        "Focal length of the images in pixels, with the optical axis in the middle.",
+        "--focal-length",
+        min=1,
+    )
+    intrinsics: tuple[float, float, float, float] | None = option(
+        "Intrinsics of the images in pixels, instead of --focal-length.", metavar="FX FY CX CY"
+    )
+    points: Path | None = option("Scans, see ssdnet-run.")
+    calibration: Path | None = option("Calibration, see ssdnet-run.")
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Options(StepOptions, _Frames):  # the options of the last class come first
+    folds: int = option(
+        "Score on all images: train so often (5) without a block of them each, then on all.",
+        default=0,
+        min=0,
+    )
+
+
 @app.command(epilog=EXIT_CODES)
-def finetune(
-    images: Annotated[
-        Path, typer.Argument(help="Folder of PNG or JPEG images, or a recording of ssdnet-run.")
-    ],
-    *,
-    labels: Annotated[
-        Path | None,
-        typer.Option(
-            help="Folder of PNGs of class ids, named like the images, 255 is no class, "
-            "or of colours that --classes or --palette states."
-        ),
-    ] = None,
-    classes: Annotated[
-        Path | None,
-        typer.Option(
-            help="Text file with the names of the classes of --labels, one a line, in the order of "
-            "their ids, or with their colours, road 128 64 128; CVAT's labelmap.txt is one."
-        ),
-    ] = None,
-    ignore: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="CLASS",
-            help="Class of --classes that is not learned: its pixels count as unlabelled; may be "
-            "repeated.",
-        ),
-    ] = None,
-    palette: PaletteOption = None,
-    depth: Annotated[
-        Path | None,
-        typer.Option(
-            help="Folder of LiDAR depth: 16-bit PNGs of metres x 256, named like the images. 0 is "
-            "no return."
-        ),
-    ] = None,
-    depth_scale: Annotated[
-        float | None,
-        typer.Option(min=1e-6, help="Units of --depth per metre.", show_default="256"),
-    ] = None,
-    focal_length_px: Annotated[
-        float | None,
-        typer.Option(
-            "--focal-length",
-            min=1,
-            help="Focal length of the images in pixels, with the optical axis in the middle.",
-        ),
-    ] = None,
-    intrinsics: Annotated[
-        tuple[float, float, float, float] | None,
-        typer.Option(
-            metavar="FX FY CX CY",
-            help="Intrinsics of the images in pixels, instead of --focal-length.",
-        ),
-    ] = None,
-    points: Annotated[Path | None, typer.Option(help="Scans, see ssdnet-run.")] = None,
-    calibration: Annotated[Path | None, typer.Option(help="Calibration, see ssdnet-run.")] = None,
-    out: Out,
-    init: Begin = "ssdnet-lite",
-    changes: Changes = None,
-    device: Device = "cpu",
-    threads: Threads = None,
-    folds: Annotated[
-        int,
-        typer.Option(
-            min=0,
-            help="Score on all images: train so often (5) without a block of them each, then on "
-            "all.",
-        ),
-    ] = 0,
-    stop_after: StopAfter = None,
-    dry_run: DryRun = False,
-    _version: Version = False,
-) -> None:
+@with_options(_Options)
+def finetune(**given: Any) -> None:
     """Train the classes or the depth of a network on your own images.
 
     A recipe is made for the folders, shown on stderr, and written to recipe.toml below --out: edit
     it, and train by it with ssdnet-train, to change more.
     """
-    with training_command(locals()) as options:
+    with training_command(given) as options:
         found = training.finetune(**options)
         end_run(found, options["stop"])
-        if dry_run or found.stopped:
+        if given["dry_run"] or found.stopped:
             return
-        if labels is not None or depth is not None:
-            test: dict[str, object] = {
-                "images": "TEST/images",
-                "labels": labels and "TEST/labels",
-                "classes": classes,
-                "palette": palette,
-                "depth": depth and "TEST/depth",
-                "depth-scale": depth_scale,
-            }
-            typer.echo(shlex.join(["ssdnet-eval", init, str(out), *list_options(test)]))
-        given: dict[str, object] = {"depth": depth, "points": points, "calibration": calibration}
-        given["focal-length"] = focal_length_px
-        print_next_commands(str(images), given, found.path)
+        if "labels" in options or "depth" in options:
+            test = {name: options.get(name) for name in ("images", "labels", "depth")}
+            test = {name: path and f"TEST/{name}" for name, path in test.items()}
+            test |= {name: options.get(name) for name in ("classes", "palette")}
+            test["depth-scale"] = options.get("depth_scale")
+            tested = ["ssdnet-eval", given["init"], str(given["out"])]
+            typer.echo(shlex.join([*tested, *list_options(test)]))
+        files = {name: options.get(name) for name in ("depth", "points", "calibration")}
+        files["focal-length"] = options.get("focal_length_px")
+        print_next_commands(str(given["images"]), files, found.path)

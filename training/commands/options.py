@@ -1,13 +1,17 @@
 """Options that the training commands share, and how these commands end."""
 
+# ruff: noqa: RUF009 - what is called in classes of options returns a field
+
 import shlex
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import MISSING, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Any
 
 import typer
 
+from runtime.command.options import option_group
 from runtime.command.process import INTERRUPTED, reported_errors
 from training.base.stop_signal import Stop, stop_signal
 
@@ -20,42 +24,43 @@ EXIT_CODES = (
     "Exit codes: 0 done; 1 error; 2 usage; 130 stopped by Ctrl-C, SIGTERM or SIGHUP, after which "
     "the same command resumes."
 )
-Out = Annotated[
-    Path,
-    typer.Option(help="Folder of the run. A run that was stopped is resumed by the same command."),
-]
-# The weights with which a network of the user's begins; they are never random.
-Begin = Annotated[
-    str,
-    typer.Option(
-        help="Initial weights: the name of installed weights (ssdnet-lite, ssdnet-nano), or a path "
-        "that ends in .pt or holds a slash."
-    ),
-]
-Changes = Annotated[
-    list[str] | None,
-    typer.Option(
+option = option_group()
+
+
+@dataclass(frozen=True, kw_only=True)
+class RunOptions:
+    """Options of every command that trains; functions of `training` take them by these names."""
+
+    out: Path = option(
+        "Folder of the run. A run that was stopped is resumed by the same command.", default=MISSING
+    )
+    init: str | None = option(
+        "Initial weights: the name of installed weights (ssdnet-lite, ssdnet-nano), or a path that "
+        "ends in .pt or holds a slash.",
+        default="ssdnet-lite",
+    )
+    changes: list[str] | None = option(
+        "Change a key of the recipe, for example 'schedule.steps = 500'. May be repeated.",
         "--set",
         metavar="KEY=VALUE",
-        help="Change a key of the recipe, for example 'schedule.steps = 500'. May be repeated.",
-    ),
-]
-Device = Annotated[str, typer.Option(help="'cpu', 'cuda' or 'cuda:N'.")]
-Threads = Annotated[
-    int | None, typer.Option(min=1, help="Threads of PyTorch. [default: all cores]")
-]
-StopAfter = Annotated[
-    int | None,
-    typer.Option(min=1, help="Stop at this step, over all stages. The run can be resumed."),
-]
-DryRun = Annotated[
-    bool,
-    typer.Option(
+    )
+    device: str = option("'cpu', 'cuda' or 'cuda:N'.", default="cpu")
+    threads: int | None = option("Threads of PyTorch. [default: all cores]", min=1)
+
+
+@dataclass(frozen=True, kw_only=True)
+class StepOptions(RunOptions):
+    """Options of a run by a recipe."""
+
+    stop_after: int | None = option(
+        "Stop at this step, over all stages. The run can be resumed.", min=1
+    )
+    dry_run: bool = option(
+        "Do not train: check that the training, or its next stage, can start, describe its data, "
+        "and draw the first batch as batch.png in --out.",
         "--dry-run",
-        help="Do not train: check that the training, or its next stage, can start, describe its "
-        "data, and draw the first batch as batch.png in --out.",
-    ),
-]
+        default=False,
+    )
 
 
 @contextmanager

@@ -1,7 +1,10 @@
 """`ssdnet-train`: from a recipe to a checkpoint."""
 
+# ruff: noqa: RUF009 - what is called in classes of options returns a field
+
 import shlex
 import sys
+from dataclasses import MISSING, dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -9,17 +12,13 @@ import typer
 from typer.core import TyperCommand
 
 import training
-from runtime.command.options import Version
+from runtime.command.options import with_options
 from runtime.command.process import reported_errors
 from training.commands.options import (
     EXIT_CODES,
-    Changes,
-    Device,
-    DryRun,
-    Out,
-    StopAfter,
-    Threads,
+    StepOptions,
     end_run,
+    option,
     training_command,
 )
 
@@ -36,15 +35,13 @@ class _TrainCommand(TyperCommand):
     # typer's own copy of click, or click: the type of a context depends on the release of typer.
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         """Parse the arguments; options that moved end the command, whatever else is given."""
-        for option, command in _MOVED.items():
+        for moved, command in _MOVED.items():
             for index, argument in enumerate(args):
-                if argument == option or argument.startswith(f"{option}="):
-                    value = argument.removeprefix(option).removeprefix("=")
+                if argument == moved or argument.startswith(f"{moved}="):
+                    value = argument.removeprefix(moved).removeprefix("=")
                     rest = [*args[:index], *([value] if value else []), *args[index + 1 :]]
-                    typer.echo(
-                        f"error: {option} is a command of its own: {command} {shlex.join(rest)}",
-                        err=True,
-                    )
+                    text = f"error: {moved} is a command of its own: {command} {shlex.join(rest)}"
+                    typer.echo(text, err=True)
                     sys.exit(_USAGE)
         return super().parse_args(ctx, args)
 
@@ -59,49 +56,46 @@ def _print_recipes(wanted: bool) -> None:
         raise typer.Exit
 
 
+@dataclass(frozen=True, kw_only=True)
+class _Recipe:
+    """Options that name the recipe and its data."""
+
+    recipe: str = option(
+        "Name of a recipe, see --list, or a path that ends in .toml or holds a slash; the "
+        "recipe.json of a run trains again what was trained.",
+        default=MISSING,
+        kind=typer.Argument,
+    )
+    data: list[Path] = option(
+        "Folder with the recipe's data sets. May be repeated.", default=MISSING, metavar="DIR"
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Options(StepOptions, _Recipe):  # the options of the last class come first
+    init: str | None = option(
+        "Initial weights: the name of installed weights (ssdnet-lite), or a path that ends in .pt "
+        "or holds a slash. What a TOML file leaves out comes from their training."
+    )
+    teacher: str | None = option(
+        "Weights whose answers are learned beside the labels: a name or path as in --init."
+    )
+
+
 @app.command(cls=_TrainCommand, epilog=EXIT_CODES)
+@with_options(_Options)
 def train(
-    recipe: Annotated[
-        str,
-        typer.Argument(
-            help="Name of a recipe, see --list, or a path that ends in .toml or holds a slash; "
-            "the recipe.json of a run trains again what was trained."
-        ),
-    ],
     *,
-    data: Annotated[
-        list[Path],
-        typer.Option(metavar="DIR", help="Folder with the recipe's data sets. May be repeated."),
-    ],
-    out: Out,
-    init: Annotated[
-        str | None,
-        typer.Option(
-            help="Initial weights: the name of installed weights (ssdnet-lite), or a path that "
-            "ends in .pt or holds a slash. What a TOML file leaves out comes from their training."
-        ),
-    ] = None,
-    teacher: Annotated[
-        str | None,
-        typer.Option(
-            help="Weights whose answers are learned beside the labels: a name or path as in --init."
-        ),
-    ] = None,
-    changes: Changes = None,
-    device: Device = "cpu",
-    threads: Threads = None,
-    stop_after: StopAfter = None,
-    dry_run: DryRun = False,
     _list: Annotated[
         bool,
         typer.Option("--list", callback=_print_recipes, is_eager=True, help="List the recipes."),
     ] = False,
-    _version: Version = False,
+    **given: Any,
 ) -> None:
     """Train a network by a recipe.
 
     Writes checkpoints, TensorBoard curves, scores and the resolved recipe. See ssdnet-finetune for
     folders of your own images and labels, and ssdnet-adapt for a recording without labels.
     """
-    with training_command(locals()) as options:
+    with training_command(given) as options:
         end_run(training.train(**options), options["stop"])
