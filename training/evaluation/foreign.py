@@ -23,24 +23,14 @@ from runtime.engine.preprocess import NetworkInput, preprocess
 from runtime.engine.session import describe_error, open_session
 from runtime.files.atomic_write import atomic_write
 from training.datasets.class_mapping import ClassTable, named_table
-from training.evaluation.adapter import (
-    IMAGE_TYPES,
-    ONE_PLANE,
-    Adapter,
-    MissingAdapterError,
-    channel_axis,
-    describe_network,
-    find_rgb,
-    fits,
-    read_adapter,
-)
+from training.evaluation import adapter as adapters
 from training.scores.scoring import HeadMaps
 
 # Grey value of the pixels around a padded frame.
 _PADDED = 114
 # Least inverse depth [1/m]; smaller ones become 10 km.
 _LEAST_INVERSE = 1e-4
-_DEPTH_TYPES = {kind: dtype for kind, dtype in IMAGE_TYPES.items() if dtype is not np.uint8}
+_DEPTH_TYPES = {"tensor(float)": np.float32, "tensor(float16)": np.float16}
 
 
 @dataclass(frozen=True)
@@ -56,7 +46,7 @@ class ForeignNetwork:
 
     path: Path
     session: Any
-    adapter: Adapter
+    adapter: adapters.Adapter
     size: NetworkSize = None
 
     def __post_init__(self) -> None:
@@ -90,7 +80,7 @@ class ForeignNetwork:
     def _require_keys(self) -> None:
         """Raise InputError for a key of the adapter that the file does not allow."""
         adapter, rgb, is_fixed = self.adapter, self._rgb, self._fixed is not None
-        axis = channel_axis(rgb.shape)
+        axis = adapters.channel_axis(rgb.shape)
         wrong = {
             "layout": axis is not None and self._is_last != (axis == 3),
             "size": adapter.size is not None and is_fixed and self._fixed != adapter.size,
@@ -173,7 +163,7 @@ class ForeignNetwork:
 
     @property
     def _rgb(self) -> Any:
-        return find_rgb(self.path, self.session, self.adapter.rgb)
+        return adapters.find_rgb(self.path, self.session, self.adapter.rgb)
 
     @property
     def _lidar(self) -> Any:
@@ -190,7 +180,7 @@ class ForeignNetwork:
         """Whether the channels are the last axis."""
         if self.adapter.layout is not None:
             return self.adapter.layout == "NHWC"
-        return channel_axis(self._rgb.shape) == 3
+        return adapters.channel_axis(self._rgb.shape) == 3
 
     @property
     def _fixed(self) -> Size | None:
@@ -232,7 +222,7 @@ class ForeignNetwork:
             values = (values - mean) / std
         values = values[..., ::-1] if self.adapter.channels == "BGR" else values
         values = values if self._is_last else values.transpose(2, 0, 1)
-        return np.ascontiguousarray(values[np.newaxis].astype(IMAGE_TYPES[self._rgb.type]))
+        return np.ascontiguousarray(values[np.newaxis].astype(adapters.IMAGE_TYPES[self._rgb.type]))
 
     def _returns(self, frame: NetworkInput, canvas: Size, corner: Size) -> NDArray[Any]:
         depth = _pad(frame.sparse_depth, canvas, corner, 0) * self.adapter.sparse_depth_scale
@@ -269,7 +259,7 @@ class ForeignNetwork:
                 raise InputError(
                     f"{self.path}: its output {self.adapter.semantic!r} has values from "
                     f"{plane.min():g} to {plane.max():g}, which are no class ids: name another "
-                    f"output; {ONE_PLANE}"
+                    f"output; {adapters.ONE_PLANE}"
                 )
         return ids if ids.shape == canvas else np.asarray(resize_nearest(ids, canvas))
 
@@ -287,7 +277,7 @@ class ForeignNetwork:
         self, maps: NDArray[Any], shape: Sequence[int], name: str | None, canvas: Size
     ) -> NDArray[np.float32]:
         """Return maps (..., h, w) of the output `name` if they are finite and of the image."""
-        if not fits(maps.shape[-2:], canvas):
+        if not adapters.fits(maps.shape[-2:], canvas):
             raise InputError(
                 f"{self.path}: its output {name!r} is {tuple(shape)}, which is no map of the image "
                 f"of {canvas[0]} x {canvas[1]}: export rows and columns as its last axes, and "
@@ -330,20 +320,20 @@ def open_foreign(
     )
     described = adapter or path.with_suffix(".toml")
     if not described.is_file():
-        text = describe_network(path, session)
+        text = adapters.describe_network(path, session)
         if adapter is None:
-            raise MissingAdapterError(
+            raise adapters.MissingAdapterError(
                 f"{path}: was not written by ssdnet-export: save the lines above as {described}, "
                 "check them, and run the command again",
                 text,
             )
         atomic_write(described, text.encode())
-        raise MissingAdapterError(
+        raise adapters.MissingAdapterError(
             f"{described}: there was none, and it was written from what {path} says: check it, and "
             "run the command again",
             text,
         )
-    return ForeignNetwork(path, session, read_adapter(described), size)
+    return ForeignNetwork(path, session, adapters.read_adapter(described), size)
 
 
 def _pad(values: NDArray[Any], canvas: Size, corner: Size, value: int) -> NDArray[Any]:

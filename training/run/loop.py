@@ -16,17 +16,10 @@ from models.training_facts import TrainingFacts
 from training.base.processes import join_processes
 from training.base.stop_signal import StopRequested
 from training.loading.batch import Batch
+from training.run import run_folder
 from training.run.batches import read_batches
 from training.run.provenance import state_provenance
 from training.run.recipe import Recipe
-from training.run.run_folder import (
-    PAGE,
-    SCORES,
-    TENSORBOARD,
-    list_data,
-    lock_folder,
-    prepare_folder,
-)
 from training.run.score_table import ScoreTable
 from training.run.state import TrainingState
 from training.run.task import Task, open_task
@@ -74,10 +67,12 @@ def train(recipe: Recipe, run: TrainingRun) -> RunResult:
         }
         if processes.is_first:
             # Made last: a training that cannot start leaves no folder.
-            held.enter_context(lock_folder(run.out))
+            held.enter_context(run_folder.lock_folder(run.out))
             sets = (*recipe.data.source, *recipe.validation.source)
-            files = list_data(run.data, [folder for item in sets for folder in item.folders])
-            prepare_folder(run.out, resolved, files, run.data)
+            files = run_folder.list_data(
+                run.data, [folder for item in sets for folder in item.folders]
+            )
+            run_folder.prepare_folder(run.out, resolved, files, run.data)
         processes.wait()
         loop = _Loop(task, resolved)
         loop.state.resume(stopped.path)
@@ -126,9 +121,9 @@ class _Loop:
     def advance(self) -> None:
         """Take the steps that are left, with their checkpoints and validations."""
         first, is_first = self.state.step, self._processes.is_first
-        self._scores = ScoreTable(self._run.out / SCORES, first)
+        self._scores = ScoreTable(self._run.out / run_folder.SCORES, first)
         with (
-            Board(self._run.out / TENSORBOARD if is_first else None, first) as board,
+            Board(self._run.out / run_folder.TENSORBOARD if is_first else None, first) as board,
             tqdm(
                 total=self.steps,
                 initial=first,
@@ -156,7 +151,7 @@ class _Loop:
             networks = {"before": before, **networks}
             if before.config != network.config:
                 self._results.pop("before", None)  # it was another network's
-        path, curves = self._run.out / PAGE, self._scores.curves
+        path, curves = self._run.out / run_folder.PAGE, self._scores.curves
         write_validation(networks, self._task, path, known=self._results, curves=curves)
 
     def _score_start(self, board: Board) -> None:

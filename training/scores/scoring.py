@@ -20,16 +20,7 @@ from runtime.engine.prediction import HeadArrays
 from runtime.engine.preprocess import preprocess
 from training.datasets.sample import SampleSource, labelled
 from training.lidar.split import LidarInput, LidarSplit, frame_generator, split_lidar
-from training.scores.metrics import (
-    FARTHEST_M,
-    Accumulator,
-    BoundaryScores,
-    DepthErrors,
-    DepthScores,
-    ErrorSums,
-    RoadScores,
-    SemanticScores,
-)
+from training.scores import metrics
 from training.scores.uncertainty import UncertaintyScores
 
 
@@ -99,22 +90,22 @@ def torch_predict(
     return predict
 
 
-class Scores(Accumulator):
+class Scores(metrics.Accumulator):
     """Counts of a whole set, with a part for each head; a part without any target stays empty.
 
     Depth is scored where the truth is at most `farthest_m` [m].
     """
 
-    def __init__(self, num_classes: int, farthest_m: float = FARTHEST_M) -> None:
+    def __init__(self, num_classes: int, farthest_m: float = metrics.FARTHEST_M) -> None:
         self._farthest_m = farthest_m
         self.frames = 0
         self.heads: set[str] = set()  # heads that were answered
-        self.semantic = SemanticScores(num_classes)
-        self.depth = DepthScores(farthest_m)
-        self.boundary = BoundaryScores()
+        self.semantic = metrics.SemanticScores(num_classes)
+        self.depth = metrics.DepthScores(farthest_m)
+        self.boundary = metrics.BoundaryScores()
         self.uncertainty = UncertaintyScores()
-        self.road = RoadScores(num_classes)
-        self.others: dict[str, ErrorSums] = {}  # of heads without other figures
+        self.road = metrics.RoadScores(num_classes)
+        self.others: dict[str, metrics.ErrorSums] = {}  # of heads without other figures
 
     def update(self, answer: HeadMaps, frame: LidarSplit) -> None:
         """Count a frame; missing heads and targets are left out."""
@@ -127,7 +118,7 @@ class Scores(Accumulator):
         if answer.semantic is not None and "road_mask" in sample.targets:
             self.road.update(answer.semantic, sample.targets["road_mask"])
         if answer.depth is not None and frame.target.any():
-            errors = DepthErrors(answer.depth, frame.target, self._farthest_m)
+            errors = metrics.DepthErrors(answer.depth, frame.target, self._farthest_m)
             self.depth.update(errors, sample.focal_baseline_px_m, frame.fed)
             if answer.depth_uncertainty is not None:
                 self.uncertainty.update(answer.depth_uncertainty, errors)
@@ -137,7 +128,7 @@ class Scores(Accumulator):
             labels = sample.targets[head]
             known = labelled(head, labels)
             errors = answer.heads[head][known].astype(np.float64) - labels[known]
-            self.others.setdefault(head, ErrorSums()).add(errors)
+            self.others.setdefault(head, metrics.ErrorSums()).add(errors)
 
     def labelled(self, class_names: Sequence[str]) -> dict[str, tuple[int, int]]:
         """Return labelled pixels, and frames that show it, for each class that is labelled."""
