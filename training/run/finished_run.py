@@ -48,8 +48,7 @@ def read_run(folder: Path) -> EvaluatedRun:
         raise InputError(
             f"{folder}: has no {FINAL} and no {BEST}: resume the training, which writes them"
         )
-    recipe, roots = _read(path)
-    sets = [_find(source, roots, folder) for source in recipe.validation.source]
+    recipe, sets = _read(path, folder, "validation")
     return EvaluatedRun(model, sets, recipe)
 
 
@@ -59,8 +58,7 @@ def open_training_sets(folder: Path) -> list[SampleSource]:
     if path is None:
         return []
     with contextlib.suppress(InputError, DatasetError):
-        recipe, roots = _read(path)
-        sets = [_find(source, roots, folder) for source in recipe.data.source]
+        recipe, sets = _read(path, folder, "data")
         return [open_dataset(item, [Path()], classes=recipe.model.class_table) for item in sets]
     return []
 
@@ -70,19 +68,17 @@ def _recipe_path(folder: Path) -> Path | None:
     return next((path for path in reversed(recipes) if path.is_file()), None)
 
 
-def _read(path: Path) -> tuple[Recipe, list[Path]]:
-    """Return a run's recipe and the folders of its data."""
+def _read(path: Path, folder: Path, table: str) -> tuple[Recipe, list[SourceRecipe]]:
+    """Return the recipe of a run in `folder`, and the sets of a table of it with absolute paths."""
     document = read_document(path)
     try:
         recipe = build(Recipe, document["recipe"])
     except InputError as error:
         raise InputError(f"{path}: cannot be read ({error}): give --data instead") from error
-    return recipe, [Path(root) for root in document.get(DATA_FOLDERS, ())]
-
-
-def _find(source: SourceRecipe, roots: Sequence[Path], folder: Path) -> SourceRecipe:
-    """Return a set with its absolute path; a missing one keeps its path for the error."""
-    for root in (*roots, folder, folder.parent):
-        if (root / source.path).exists():
-            return replace(source, path=str(root / source.path), name=source.title)
-    return source
+    roots = [*map(Path, document.get(DATA_FOLDERS, ())), folder, folder.parent]
+    sets: list[SourceRecipe] = []
+    for source in getattr(recipe, table).source:
+        found = next((root / source.path for root in roots if (root / source.path).exists()), None)
+        changes = {} if found is None else {"path": str(found), "name": source.title}
+        sets.append(replace(source, **changes))  # a missing one keeps its path for the error
+    return recipe, sets
