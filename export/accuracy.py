@@ -13,8 +13,7 @@ from training.datasets.registry import parse_data
 from training.lidar.split import LidarInput
 from training.scores.differences import compare
 from training.scores.evaluated_set import Feed, open_sets
-from training.scores.score_report import Row
-from training.scores.score_set import Result, score_sets
+from training.scores.score_set import Result, Row, score_sets
 from training.scores.scored_model import open_exported
 
 # LiDAR inputs with which a file is measured: all returns of a frame, 16 scan lines, no returns. If

@@ -10,7 +10,7 @@ from export.accuracy import Accuracy, accuracy_of
 from export.gate import find_missed, require_truth
 from export.options import ExportOptions
 from runtime import InputError
-from training.scores.score_report import Row
+from training.scores.score_set import Row
 from training.scores.scoring import Scores
 
 ROW = Accuracy("street", "own", 120, 0.7, 0.5, 0.6, 0.63, {"tree": 0.9})

@@ -22,8 +22,8 @@ from training.run.finished_run import EvaluatedRun, read_run
 from training.scores.differences import LEAST_SCORED, Difference, compare
 from training.scores.evaluated_set import open_sets, short_names
 from training.scores.metrics import FARTHEST_M
-from training.scores.score_report import Row, format_differences, format_table
-from training.scores.score_set import Result, score_sets
+from training.scores.score_report import format_differences, format_table
+from training.scores.score_set import Result, Row, score_sets
 from training.scores.scored_model import ScoredModel
 from training.scores.shared_classes import draft_join
 

@@ -16,8 +16,7 @@ from runtime.drawing.overlay import Overlay
 from training.datasets.class_mapping import list_classes
 from training.pages.pictures import enlarge_returns
 from training.scores.evaluated_set import EvaluatedSet
-from training.scores.score_report import Row
-from training.scores.score_set import Result
+from training.scores.score_set import Result, Row
 from training.scores.scored_model import ScoredModel
 from training.scores.scoring import HeadMaps
 from training.scores.shared_classes import ScoredClasses

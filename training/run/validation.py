@@ -24,10 +24,9 @@ from training.run.state import Step
 from training.run.task import Task
 from training.scores.differences import compare
 from training.scores.evaluated_set import EvaluatedSet, Feed
-from training.scores.score_report import OTHER
 from training.scores.score_set import Result, score_set
 from training.scores.scored_model import open_network
-from training.scores.scoring import scored_classes
+from training.scores.scoring import OTHER, scored_classes
 from training.scores.shared_classes import ScoredClasses
 
 

@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from training.scores.metrics import class_iou
-from training.scores.score_report import OTHER, Row
-from training.scores.score_set import FrameScore, Result
+from training.scores.score_set import FrameScore, Result, Row
+from training.scores.scoring import OTHER
 
 # Number of draws, and their seed.
 _DRAWS, _SEED = 2000, 0

@@ -2,14 +2,13 @@
 
 import math
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, field
-from typing import TYPE_CHECKING, Any, NamedTuple
+from dataclasses import asdict
+from typing import Any, NamedTuple
 
-from training.scores.metrics import FARTHEST_M, RANGES_M, RETURN_DISTANCES
-from training.scores.scoring import scored_classes
-
-if TYPE_CHECKING:
-    from training.scores.differences import Difference
+from training.scores.differences import Difference
+from training.scores.metrics import RANGES_M, RETURN_DISTANCES
+from training.scores.score_set import Row
+from training.scores.scoring import OTHER, scored_classes
 
 
 class Column(NamedTuple):
@@ -74,8 +73,6 @@ COLUMNS = (
     _share("boundary_f", "boundary F", main=True),
     Column("latency_ms", "an answer ms", 1.0, 1),
 )
-# Beginning of the figures of heads that have no column here.
-OTHER = "mean_error_"
 # For each head: a figure that every set with its ground truth has, and the key of that truth in
 # `folders`.
 _TRUTH = {"semantic": ("miou", "labels"), "depth": ("mae_m", "depth")}
@@ -84,61 +81,6 @@ _UNSCORED = {
     "labels": "the labelled pixels have no class and are not scored",
     "depth": "the depth is beyond {:g} m (--farthest) and not scored: check its unit (depth_scale)",
 }
-
-
-@dataclass(frozen=True)
-class Row:
-    """The score of one model on one set with one LiDAR and one fault.
-
-    Attributes:
-        figures: figures over the pixels of all frames, in SI units and shares; empty without ground
-            truth.
-        places: figures by place, if the set knows the places of its frames and has several.
-        figures_over_places: the mean over these places, see `scoring.figures_over_places`.
-        heads: heads that the model answered.
-        labelled: for each class, its labelled pixels, and the number of frames that show it.
-        left_out: classes that are not scored, in words; empty if there are none.
-        scored_labels: share of the labelled pixels whose class is scored.
-        unscored: for "labels" or "depth", the share of its pixels that is not scored.
-        farthest_m: farthest true depth [m] that is scored.
-        latency_ms: median time of an answer on this machine, without reading; None if nothing ran.
-        without_focal: number of frames without a focal length, if the model's distances depend on
-            it.
-    """
-
-    model: str
-    engine: str
-    data: str
-    lidar: str
-    fault: str
-    frames: int
-    figures: dict[str, float]
-    places: dict[str, dict[str, float]] = field(default_factory=dict)
-    figures_over_places: dict[str, float] = field(default_factory=dict)
-    heads: Sequence[str] = ()
-    labelled: dict[str, tuple[int, int]] = field(default_factory=dict)
-    left_out: str = ""
-    scored_labels: float = 1.0
-    unscored: dict[str, float] = field(default_factory=dict)
-    farthest_m: float = FARTHEST_M
-    latency_ms: float | None = None
-    without_focal: int = 0
-
-    @property
-    def key(self) -> tuple[str, str, str, str]:
-        """Model, set, LiDAR and fault."""
-        return self.model, self.data, self.lidar, self.fault
-
-    @property
-    def title(self) -> str:
-        """Set, LiDAR and fault in words, which the rows of all models share."""
-        return f"{self.data}, LiDAR {self.lidar}" + f", {self.fault}" * (self.fault != "none")
-
-    @property
-    def shown(self) -> dict[str, float | None]:
-        """The figures and the time of an answer, by the keys of `COLUMNS`."""
-        time = {} if self.latency_ms is None else {"latency_ms": self.latency_ms}
-        return {**self.figures, **time}
 
 
 def format_table(
@@ -166,7 +108,7 @@ def format_table(
     return "\n".join([*lay_out(scored, columns, width), *notes])
 
 
-def format_differences(differences: "Sequence[Difference]", *, width: int | None = None) -> str:
+def format_differences(differences: Sequence[Difference], *, width: int | None = None) -> str:
     """Lay out the differences between models as a Markdown table with verdicts in words."""
     lines = []
     for against in dict.fromkeys(item.against for item in differences):
@@ -179,8 +121,8 @@ def format_differences(differences: "Sequence[Difference]", *, width: int | None
 
 
 def difference_rows(
-    differences: "Sequence[Difference]",
-) -> "Iterator[tuple[Difference, list[str], str]]":
+    differences: Sequence[Difference],
+) -> Iterator[tuple[Difference, list[str], str]]:
     """Yield each difference with input, figure, change and interval in words, and its verdict."""
     for item in differences:
         lidar = item.row.lidar + f", {item.row.fault}" * (item.row.fault != "none")
@@ -286,7 +228,7 @@ def _markdown(cells: Sequence[Sequence[str]], keys: int, width: int | None) -> l
 
 
 def list_figures(
-    rows: Sequence[Row], differences: "Sequence[Difference]" = ()
+    rows: Sequence[Row], differences: Sequence[Difference] = ()
 ) -> list[dict[str, Any]]:
     """Return every figure of every row for JSON; a figure for which nothing was measured is null.
 

@@ -14,10 +14,64 @@ from training.base.processes import Processes
 from training.loading.camera_faults import CAMERA_FAULTS
 from training.scores.depth_folder import DepthFolder
 from training.scores.evaluated_set import EvaluatedSet, Feed
-from training.scores.metrics import Accumulator
-from training.scores.score_report import Row
+from training.scores.metrics import FARTHEST_M, Accumulator
 from training.scores.scored_model import ScoredModel
 from training.scores.scoring import HeadMaps, Scores, figures_over_places
+
+
+@dataclass(frozen=True)
+class Row:
+    """The score of one model on one set with one LiDAR and one fault.
+
+    Attributes:
+        figures: figures over the pixels of all frames, in SI units and shares; empty without ground
+            truth.
+        places: figures by place, if the set knows the places of its frames and has several.
+        figures_over_places: the mean over these places, see `figures_over_places`.
+        heads: heads that the model answered.
+        labelled: for each class, its labelled pixels, and the number of frames that show it.
+        left_out: classes that are not scored, in words; empty if there are none.
+        scored_labels: share of the labelled pixels whose class is scored.
+        unscored: for "labels" or "depth", the share of its pixels that is not scored.
+        farthest_m: farthest true depth [m] that is scored.
+        latency_ms: median time of an answer on this machine, without reading; None if nothing ran.
+        without_focal: number of frames without a focal length, if the model's distances depend on
+            it.
+    """
+
+    model: str
+    engine: str
+    data: str
+    lidar: str
+    fault: str
+    frames: int
+    figures: dict[str, float]
+    places: dict[str, dict[str, float]] = field(default_factory=dict)
+    figures_over_places: dict[str, float] = field(default_factory=dict)
+    heads: Sequence[str] = ()
+    labelled: dict[str, tuple[int, int]] = field(default_factory=dict)
+    left_out: str = ""
+    scored_labels: float = 1.0
+    unscored: dict[str, float] = field(default_factory=dict)
+    farthest_m: float = FARTHEST_M
+    latency_ms: float | None = None
+    without_focal: int = 0
+
+    @property
+    def key(self) -> tuple[str, str, str, str]:
+        """Model, set, LiDAR and fault."""
+        return self.model, self.data, self.lidar, self.fault
+
+    @property
+    def title(self) -> str:
+        """Set, LiDAR and fault in words, which the rows of all models share."""
+        return f"{self.data}, LiDAR {self.lidar}" + f", {self.fault}" * (self.fault != "none")
+
+    @property
+    def shown(self) -> dict[str, float | None]:
+        """The figures and the time of an answer, by the keys of `score_report.COLUMNS`."""
+        time = {} if self.latency_ms is None else {"latency_ms": self.latency_ms}
+        return {**self.figures, **time}
 
 
 @dataclass(frozen=True)

@@ -23,6 +23,9 @@ from training.lidar.split import LidarInput, LidarSplit, frame_generator, split_
 from training.scores import metrics
 from training.scores.uncertainty import UncertaintyScores
 
+# Beginning of the names of figures of heads that have no others.
+OTHER = "mean_error_"
+
 
 class HeadMaps(HeadArrays):
     """The maps of a frame that are scored or drawn: answers, or the truth.
@@ -156,7 +159,7 @@ class Scores(metrics.Accumulator):
             **self.depth.figures(),
             **self.uncertainty.figures(),
             **self.boundary.figures(boundary_threshold),
-            **{f"mean_error_{head}": part.mean for head, part in sorted(self.others.items())},
+            **{f"{OTHER}{head}": part.mean for head, part in sorted(self.others.items())},
         }
 
 

@@ -6,8 +6,8 @@ import pytest
 from training.lidar.split import LidarInput
 from training.scores.differences import compare
 from training.scores.metrics import DepthErrors, DepthScores
-from training.scores.score_report import Row, format_differences
-from training.scores.score_set import FrameScore, Result, means_over_images
+from training.scores.score_report import format_differences
+from training.scores.score_set import FrameScore, Result, Row, means_over_images
 
 
 def result(model, errors_m, *, hits=None, groups=None):

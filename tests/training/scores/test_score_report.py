@@ -4,7 +4,8 @@ from dataclasses import replace
 
 import pytest
 
-from training.scores.score_report import Row, format_table
+from training.scores.score_report import format_table
+from training.scores.score_set import Row
 
 ROW = Row("a", "torch on cpu", "x", "64", "none", 3, {"miou": 0.5, "mae_m": 1.25})
 
