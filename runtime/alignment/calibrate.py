@@ -6,10 +6,10 @@ from enum import StrEnum
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from runtime.alignment.selection import choose_frames
 from runtime.base.arguments import check_integer
+from runtime.base.arrays import Float32, Float64
 from runtime.base.errors import InputError
 from runtime.checks.finding import Finding
 from runtime.checks.fit import AXES, FitScores, fit_of, median_fit, rotation, turned
@@ -45,8 +45,6 @@ _TAKE_MORE = "not visible in these frames: {}; take more frames, with near objec
 _TURNED, _OTHER_TIME = "turned", "other_time"
 _BEFORE = tuple(each for each in READINGS if each.is_far or each.name in (_OTHER_TIME, "unit"))
 _AFTER = tuple(each for each in READINGS if each not in _BEFORE and each.name != _TURNED)
-
-_Floats = NDArray[np.float64]
 
 
 class Verdict(StrEnum):
@@ -89,8 +87,8 @@ class CalibrationResult:
     reason: str
     given: Calibration
     refined: Calibration | None = None
-    off_degrees: _Floats | None = None
-    within_degrees: _Floats | None = None
+    off_degrees: Float64 | None = None
+    within_degrees: Float64 | None = None
     finding: Finding | None
     judgement: Judgement
     before: FitScores
@@ -151,7 +149,7 @@ def calibrate(
             "calibration is checked with a bundled model"
         )
 
-    def predict(frame: Frame, _: NDArray[np.float32]) -> Prediction:
+    def predict(frame: Frame, _: Float32) -> Prediction:
         focal_px = known_focal_length_px(predictor, frame.calibration)
         return predictor.predict(frame.rgb, None, focal_length_px=focal_px)
 
@@ -248,7 +246,7 @@ def _with_rotation(
     return replace(result, verdict=Verdict.OFF, reason=reason, refined=refined)
 
 
-def _listed(off: _Floats, limits: _Floats, how: str) -> str:
+def _listed(off: Float64, limits: Float64, how: str) -> str:
     """The three angles, in words; an infinite limit marks an axis that is not visible."""
     return ", ".join(
         f"{name} {how.format(value=value, limit=limit)} degrees"
@@ -258,7 +256,7 @@ def _listed(off: _Floats, limits: _Floats, how: str) -> str:
     )
 
 
-def uncertainty_of(best: Optimum, frames: int, scenes: float) -> tuple[_Floats, _Floats]:
+def uncertainty_of(best: Optimum, frames: int, scenes: float) -> tuple[Float64, Float64]:
     """Return the two parts of the uncertainty of yaw, pitch and roll, 95 %, degrees.
 
     The first part follows from how the frames differ. The second is the floor, which covers what

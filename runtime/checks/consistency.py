@@ -11,9 +11,9 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from runtime.base.arguments import check_number
+from runtime.base.arrays import Bools, Float32
 from runtime.base.errors import InputError
 from runtime.checks.view import log_depth
 from runtime.engine.prediction import Prediction
@@ -79,9 +79,7 @@ class ConsistencyCheck:
         """Whether `score` needs a prediction without returns for this frame."""
         return self._frames % _SCALE_EVERY == 0
 
-    def hold_out(
-        self, sparse_depth: NDArray[np.float32]
-    ) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
+    def hold_out(self, sparse_depth: Float32) -> tuple[Float32, Bools]:
         """Return the remaining returns in a new array, and the mask of the held-out returns."""
         height, width = sparse_depth.shape
         side = max(height // _SQUARES, 1)
@@ -94,8 +92,8 @@ class ConsistencyCheck:
         self,
         prediction: Prediction,
         camera_only: Prediction | None,
-        sparse_depth: NDArray[np.float32],
-        held_out: NDArray[np.bool_],
+        sparse_depth: Float32,
+        held_out: Bools,
         *,
         stamp_ns: int = 0,
     ) -> Consistency:
@@ -133,13 +131,11 @@ class ConsistencyCheck:
         return Consistency(*(None if np.isnan(each) else each for each in both))
 
 
-def _log_ratio(
-    depth: NDArray[np.float32], sparse_depth: NDArray[np.float32], at: NDArray[np.bool_]
-) -> NDArray[np.float32]:
+def _log_ratio(depth: Float32, sparse_depth: Float32, at: Bools) -> Float32:
     return log_depth(depth[at]) - log_depth(sparse_depth[at])
 
 
-def _edge_agreement(boundary: NDArray[np.float32], sparse_depth: NDArray[np.float32]) -> float:
+def _edge_agreement(boundary: Float32, sparse_depth: Float32) -> float:
     """Mean boundary probability at returns with a depth jump beside them, minus the others'."""
     around = cv2.dilate(boundary, np.ones((3, 3), np.uint8))
     at_jumps, elsewhere = [], []

@@ -11,9 +11,9 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from runtime.checks.view import Floats, View, correlation, log_depth
+from runtime.base.arrays import Float64, Floats, Indices
+from runtime.checks.view import View, correlation, log_depth
 
 AXES = ("yaw", "pitch", "roll")
 BLUR = 2 / 375  # blur of the boundary for the comparison of figures, in image heights
@@ -23,7 +23,7 @@ _EDGE_WEIGHT = 2.0
 # Right returns are 0.6 to 1.3 times as far as predicted, in dark images up to 1.7 times.
 _USUAL_LOG_RATIO, _MOST_OFF = 0.7, 1.0
 
-Angles = Sequence[float] | NDArray[np.float64]
+Angles = Sequence[float] | Float64
 
 
 class FitScores(NamedTuple):
@@ -47,7 +47,7 @@ def median_fit(fits: Sequence[FitScores]) -> FitScores:
     return FitScores(*np.median(fits, axis=0).tolist()) if fits else FitScores()
 
 
-def rotation(angles: Angles) -> NDArray[np.float64]:
+def rotation(angles: Angles) -> Float64:
     """Return the matrix (3, 3) of yaw, pitch and roll [degrees] in the axes of the camera.
 
     Positive yaw moves returns to the right, positive pitch up, positive roll clockwise.
@@ -82,7 +82,7 @@ def fit_of(view: View, angles: Angles = (0, 0, 0), *, blur: float = BLUR) -> Fit
     return FitScores(edge, correlation(*both), correlation(*within), log_ratio, len(row))
 
 
-def _without_means(band: NDArray[np.intp], values: Floats) -> NDArray[np.float64]:
+def _without_means(band: Indices, values: Floats) -> Float64:
     """The values minus the mean of their band of rows."""
     count = np.maximum(np.bincount(band, minlength=_BANDS), 1)
     return np.asarray(values - (np.bincount(band, values, _BANDS) / count)[band])

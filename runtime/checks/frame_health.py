@@ -15,6 +15,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from runtime.base.arrays import Bools, Float32, Float64, UInt8
 from runtime.contract.contract import MAX_RETURN_M, farthest_return
 from runtime.contract.degraded import DEGRADED, IMAGE_OVEREXPOSED
 from runtime.engine.image_quality import find_measured_doubts
@@ -62,20 +63,20 @@ class FrameHealth:
 
     def __init__(self, *, has_lidar: bool = False) -> None:
         self._has_lidar = has_lidar
-        self._before: NDArray[np.uint8] | None = None
+        self._before: UInt8 | None = None
         # Returns in each column of cells, in each row of cells, and in all cells.
         self._usual = _Usual(), _Usual(), _Usual()
         self._learned = 0  # frames in the means
-        self._scan: NDArray[np.float32] | None = None  # the last scan
+        self._scan: Float32 | None = None  # the last scan
         self._scans = 0  # number of scans that equal it
-        self._first_image: NDArray[np.uint8] | None = None  # of the first of these scans
+        self._first_image: UInt8 | None = None  # of the first of these scans
 
     def check(
         self,
-        rgb: NDArray[np.uint8],
-        sparse_depth: NDArray[np.float32],
+        rgb: UInt8,
+        sparse_depth: Float32,
         *,
-        scan: NDArray[np.float32] | None = None,
+        scan: Float32 | None = None,
         reused: bool = False,
         range_m: float = MAX_RETURN_M,
     ) -> tuple[str, ...]:
@@ -106,7 +107,7 @@ class FrameHealth:
         self._before = rgb
         return (*faults, *self._lidar_faults(is_return))
 
-    def _repeats(self, scan: NDArray[np.float32], rgb: NDArray[np.uint8]) -> bool:
+    def _repeats(self, scan: Float32, rgb: UInt8) -> bool:
         """Whether the LiDAR sends the same scan again and again while the image changes."""
         last, self._scan = self._scan, scan
         # Further columns of the points, such as times, may differ.
@@ -121,7 +122,7 @@ class FrameHealth:
             return False
         return float(cv2.absdiff(_thumb(rgb), self._first_image).mean()) >= _CHANGED
 
-    def _image_faults(self, rgb: NDArray[np.uint8]) -> list[str]:
+    def _image_faults(self, rgb: UInt8) -> list[str]:
         faults = [IMAGE_FROZEN] if _is_same(self._before, rgb) else []
         red, green, blue = np.moveaxis(rgb[::_STEP, ::_STEP], 2, 0)
         if np.mean(np.maximum(np.maximum(red, green), blue) <= _DARK) >= _DARK_SHARE:
@@ -130,7 +131,7 @@ class FrameHealth:
             faults.append(IMAGE_OVEREXPOSED)
         return faults
 
-    def _lidar_faults(self, is_return: NDArray[np.bool_]) -> list[str]:
+    def _lidar_faults(self, is_return: Bools) -> list[str]:
         mask = is_return.view(np.uint8)
         columns = _cells(cv2.reduce(mask, 0, cv2.REDUCE_SUM, dtype=cv2.CV_32S), _COLUMNS)
         rows = _cells(cv2.reduce(mask, 1, cv2.REDUCE_SUM, dtype=cv2.CV_32S), _ROWS)
@@ -155,17 +156,17 @@ class _Usual:
     """Running means of counts, and the mean squared distances of the counts from them."""
 
     def __init__(self) -> None:
-        self._mean: NDArray[np.float64] | float = 0.0
-        self._square: NDArray[np.float64] | float = 0.0
+        self._mean: Float64 | float = 0.0
+        self._square: Float64 | float = 0.0
 
-    def learn(self, counts: NDArray[np.float64], weight: float) -> None:
+    def learn(self, counts: Float64, weight: float) -> None:
         """Learn from the counts of a frame without a fault."""
         apart = counts - self._mean
         self._mean = self._mean + weight * apart
         if weight < 1:
             self._square = (1 - weight) * (self._square + weight * apart**2)
 
-    def lost(self, now: NDArray[np.float64], share: float) -> bool:
+    def lost(self, now: Float64, share: float) -> bool:
         """Whether a usually high count is below this share, and unusually far from its mean."""
         mean = np.asarray(self._mean)
         checked = (mean >= _LEAST_RETURNS) & (mean >= _LEAST_SHARE * mean.sum())
@@ -183,11 +184,11 @@ def _is_same(last: NDArray[Any] | None, now: NDArray[Any], width: int | None = N
     )
 
 
-def _thumb(rgb: NDArray[np.uint8]) -> NDArray[np.uint8]:
+def _thumb(rgb: UInt8) -> UInt8:
     return np.asarray(cv2.resize(rgb, _THUMB, interpolation=cv2.INTER_AREA), np.uint8)
 
 
-def _cells(counts: NDArray[Any], cells: int) -> NDArray[np.float64]:
+def _cells(counts: NDArray[Any], cells: int) -> Float64:
     """Sum the counts of rows or columns in `cells` parts of about the same width."""
     edges = np.arange(cells) * counts.size // cells
     return np.add.reduceat(counts.ravel(), edges).astype(np.float64)

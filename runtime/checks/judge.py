@@ -12,8 +12,8 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from runtime.base.arrays import Float64
 from runtime.checks.finding import Finding, Severity
 from runtime.checks.fit import FitScores, fit_of, median_fit
 from runtime.checks.readings import READINGS, Reading
@@ -38,8 +38,6 @@ _ERRORS = 2.0  # a gain is clear above so many of its standard errors
 _APART = 0.02  # readings whose gains differ by less are named together
 _MOST_NAMED = 3
 
-_Floats = NDArray[np.float64]
-
 
 class Choice(NamedTuple):
     """What wins.
@@ -57,7 +55,7 @@ class Choice(NamedTuple):
 
 
 def choose(
-    gains: Mapping[tuple[str, str], _Floats], floors: Mapping[str, float], apart: float = _APART
+    gains: Mapping[tuple[str, str], Float64], floors: Mapping[str, float], apart: float = _APART
 ) -> Choice | None:
     """Return the reading with a clear gain; None if there is none.
 
@@ -66,7 +64,7 @@ def choose(
         floors: least gain of each reading.
         apart: least difference of two readings that are told apart.
     """
-    families: dict[str, dict[str, _Floats]] = defaultdict(dict)
+    families: dict[str, dict[str, Float64]] = defaultdict(dict)
     for (name, member), each in gains.items():
         families[name][member] = each
     held_out = {name: _held_out(members) for name, members in families.items()}
@@ -88,7 +86,7 @@ def choose(
     return Choice(tuple(named), float(np.median(held_out[best])), tuple(unclear))
 
 
-def _held_out(members: Mapping[str, _Floats]) -> _Floats:
+def _held_out(members: Mapping[str, Float64]) -> Float64:
     """The gain in each block of frames of the member that is best in the other blocks."""
     table = np.stack(list(members.values()))
     blocks = np.array_split(np.arange(table.shape[1]), min(table.shape[1], FIRST_FRAMES))
@@ -98,7 +96,7 @@ def _held_out(members: Mapping[str, _Floats]) -> _Floats:
     return np.concatenate([table[at, block] for at, block in zip(chosen, blocks, strict=True)])
 
 
-def _is_clear(gains: _Floats, floor: float) -> bool:
+def _is_clear(gains: Float64, floor: float) -> bool:
     error = gains.std(ddof=1) / np.sqrt(len(gains)) if len(gains) > 1 else 0.0
     return bool(np.median(gains) >= floor and gains.mean() >= _ERRORS * error)
 

@@ -15,8 +15,8 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from runtime.base.arrays import Float32, Float64, Int64
 from runtime.base.errors import InputError
 from runtime.checks.finding import Finding, Severity
 from runtime.checks.judge import choose
@@ -39,7 +39,7 @@ _MOST_POSES = 2000  # poses of a live stream that are kept
 _STEPS, _LEAST_TRAVEL_M = 30, 2.0
 _TURNED_RAD, _ALIKE = np.radians(3.0), 1 / 3  # spread of the direction of travel
 
-_Sample = tuple[NDArray[np.float32], NDArray[np.int64] | int]  # points and their times
+_Sample = tuple[Float32, Int64 | int]  # points and their times
 _STILL, OTHER_POSES = "still", "other_poses"
 _IN_UNIT = "read with lengths in {}: check their format"
 
@@ -47,8 +47,8 @@ _IN_UNIT = "read with lengths in {}: check their format"
 class PosedScan(NamedTuple):
     """A scan for the comparison: points, their times, and the time of its image."""
 
-    points: NDArray[np.float32]
-    times: NDArray[np.int64] | int
+    points: Float32
+    times: Int64 | int
     image_ns: int
 
 
@@ -196,7 +196,7 @@ def _sampled(scan: PosedScan) -> _Sample:
     return scan.points[::step, :3], times if isinstance(times, int) else times[::step]
 
 
-def _error(first: NDArray[np.float32], second: NDArray[np.float32]) -> float | None:
+def _error(first: Float32, second: Float32) -> float | None:
     """Return the median of |log(range / range)| over shared directions; None if too few."""
     keys, ranges = zip(
         *(_directions(each[is_return(each)]) for each in (first, second)), strict=True
@@ -212,7 +212,7 @@ def _error(first: NDArray[np.float32], second: NDArray[np.float32]) -> float | N
     return float(np.median(np.abs(np.log(ratio))))
 
 
-def _directions(points: NDArray[np.float32]) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+def _directions(points: Float32) -> tuple[Int64, Float64]:
     """The cell of each return's direction, and its range."""
     x, y, z = points.T.astype(np.float64)
     ranges = np.sqrt(x * x + y * y + z * z)

@@ -12,14 +12,14 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from runtime.base.arrays import Float64
 from runtime.checks.finding import Severity
 from runtime.checks.fit import fit_of, turned
 from runtime.checks.view import LEFT_HALF, UPSIDE_DOWN, Answer, View
 from runtime.geometry.lens import PLUMB_BOB, Lens
 
-_Matrix = NDArray[np.float64]
+_Matrix = Float64
 Views = Iterator[tuple[str, View]]  # by member; "" is the only one
 _Matrices = Iterable[tuple[str, _Matrix]]
 

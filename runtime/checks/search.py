@@ -4,8 +4,8 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from runtime.base.arrays import Float64
 from runtime.checks.fit import Angles, fit_of
 from runtime.checks.view import View
 
@@ -30,8 +30,6 @@ _FIT = np.linalg.pinv(_TERMS)
 _RESAMPLES, _BLOCKS = 200, 10  # of the bootstrap; frames are drawn in at most so many blocks
 _FARTHEST_STEPS = 15.0  # used if the parabola of a resample has no maximum nearby
 
-_Floats = NDArray[np.float64]
-
 
 class Optimum(NamedTuple):
     """The rotation at which the mean of both figures is largest.
@@ -42,11 +40,11 @@ class Optimum(NamedTuple):
             if there is no maximum.
     """
 
-    angles: _Floats
-    error: _Floats
+    angles: Float64
+    error: Float64
 
 
-def scores_of(views: Sequence[View], angles: Angles = (0, 0, 0), **blur: float) -> _Floats:
+def scores_of(views: Sequence[View], angles: Angles = (0, 0, 0), **blur: float) -> Float64:
     """The boundary figure plus the correlation of each view, turned by these angles, (frames,)."""
     fits = [fit_of(view, angles, **blur) for view in views]
     return np.array([fit.edge + fit.depth_correlation for fit in fits])
@@ -74,7 +72,7 @@ def held_out_gain(views: Sequence[View]) -> tuple[float, float]:
     return float(both.mean()), float(both.std(ddof=1) / np.sqrt(len(both)))
 
 
-def _climb(views: Sequence[View]) -> _Floats:
+def _climb(views: Sequence[View]) -> Float64:
     """Move repeatedly to the maximum of a parabola through the sums around the current place."""
     angles = np.zeros(3)
     for blur, step, moves in _LEVELS:
@@ -87,17 +85,17 @@ def _climb(views: Sequence[View]) -> _Floats:
     return angles
 
 
-def _sides(step: float) -> _Floats:
+def _sides(step: float) -> Float64:
     return step * np.array([1, 1, _ROLL_STEP])
 
 
-def _around(views: Sequence[View], angles: _Floats, blur: float, step: float) -> _Floats:
+def _around(views: Sequence[View], angles: Float64, blur: float, step: float) -> Float64:
     """The sums of each view, (frames, places of the cube)."""
     places = angles + _CUBE * _sides(step)
     return np.column_stack([scores_of(views, place, blur=blur) for place in places])
 
 
-def _best_of(terms: _Floats) -> _Floats:
+def _best_of(terms: Float64) -> Float64:
     """Where the parabola with these ten terms is largest, in steps; uphill if it has no maximum."""
     slope, bend = terms[1:4], np.zeros((3, 3))
     for (row, column), term in zip(_PAIRS, terms[4:], strict=True):
@@ -111,7 +109,7 @@ def _best_of(terms: _Floats) -> _Floats:
     return np.asarray(axes @ np.clip(np.nan_to_num(steps), -_FARTHEST_STEPS, _FARTHEST_STEPS))
 
 
-def _bootstrap(sums: _Floats) -> _Floats:
+def _bootstrap(sums: Float64) -> Float64:
     """The standard error of the maximum, in steps, from resampled blocks of frames."""
     blocks = np.array_split(np.arange(len(sums)), min(len(sums), _BLOCKS))
     if len(blocks) < 2:

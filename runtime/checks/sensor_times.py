@@ -5,8 +5,8 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from runtime.base.arrays import Int64
 from runtime.base.stamp import NS_PER_MS
 from runtime.geometry.assumptions import assume
 
@@ -19,7 +19,7 @@ _LIVE = 30  # messages of each sensor that are compared in a live stream
 
 
 def find_silences(
-    stamps_ns: NDArray[np.int64] | Sequence[int], first_ns: int, last_ns: int
+    stamps_ns: Int64 | Sequence[int], first_ns: int, last_ns: int
 ) -> list[tuple[int, int]]:
     """Return the times in which a sensor sent nothing, as (from, to) [ns].
 

@@ -11,8 +11,8 @@ from typing import Any, Self
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
+from runtime.base.arrays import Bools, Float32, Float64, Floats, Indices
 from runtime.contract.degraded import (
     IMAGE_BLURRED,
     IMAGE_CONSTANT,
@@ -37,8 +37,7 @@ _DOUBTS = IMAGE_BLURRED, IMAGE_DARK, IMAGE_OVEREXPOSED
 # Changes of an image to which `View.others` returns the answer.
 UPSIDE_DOWN, LEFT_HALF = "upside_down", "left_half"
 
-Points = NDArray[np.float32]
-Floats = NDArray[np.floating[Any]]
+Points = Float32
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,10 +50,10 @@ class Answer:
         doubts: reasons of `Prediction.degraded` for which the image shows little.
     """
 
-    boundary: NDArray[np.float32]
-    log_depth: NDArray[np.float32]
+    boundary: Float32
+    log_depth: Float32
     doubts: tuple[str, ...] = ()
-    _blurred: dict[float, NDArray[np.float32]] = field(default_factory=dict)
+    _blurred: dict[float, Float32] = field(default_factory=dict)
 
     @classmethod
     def of(cls, prediction: Prediction) -> Self | None:
@@ -83,7 +82,7 @@ class Answer:
         both = (np.asarray(each, np.float64).ravel() for each in (near, np.minimum(steps, _STEP)))
         return float(self.boundary.std()), correlation(*both)
 
-    def blurred(self, blur: float) -> NDArray[np.float32]:
+    def blurred(self, blur: float) -> Float32:
         """The boundary, blurred by a share of the image's height."""
         if blur not in self._blurred:
             sigma = blur * len(self.boundary)
@@ -112,8 +111,8 @@ class View:
 
     answer: Answer
     points: Points
-    intrinsics: NDArray[np.float64]
-    extrinsics: NDArray[np.float64]
+    intrinsics: Float64
+    extrinsics: Float64
     lens: Lens | None
     size: tuple[int, int]
     is_map: bool = False
@@ -141,7 +140,7 @@ class View:
         returns, jumps = self.structure
         return len(jumps) >= LEAST_JUMPS and len(returns) >= LEAST_RETURNS
 
-    def near(self, *, turn: NDArray[np.float64] | None = None, **changes: Any) -> Self:
+    def near(self, *, turn: Float64 | None = None, **changes: Any) -> Self:
         """The view with a small change of the calibration; returns and jumps are not chosen again.
 
         Args:
@@ -159,8 +158,8 @@ class View:
         return changed
 
     def pixels(
-        self, points: Points, turn: NDArray[np.float64] | None = None
-    ) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.float32]]:
+        self, points: Points, turn: Float64 | None = None
+    ) -> tuple[Indices, Indices, Float32]:
         """Row and column in the answer, and depth [m], of points like those of `structure`."""
         place = self.extrinsics[:3, 3].astype(np.float32)
         turned = (points if turn is None else points @ turn.T.astype(np.float32)) + place
@@ -176,13 +175,13 @@ class View:
 
 
 def is_near(
-    points: NDArray[np.floating[Any]],
-    intrinsics: NDArray[np.float64],
+    points: Floats,
+    intrinsics: Float64,
     lens: Lens | None,
     size: tuple[int, int],
     *,
     nearest_m: float = _NEAREST_M,
-) -> NDArray[np.bool_]:
+) -> Bools:
     """Return which points (N, 3) of the camera's frame are in an image or a little beside it."""
     if lens is not None:
         left, right, top, bottom, _ = map(float, ray_bounds(lens, cache_key(intrinsics), size))
@@ -194,7 +193,7 @@ def is_near(
     return np.asarray(near & (y > (top - _MARGIN) * z) & (y < (bottom + _MARGIN) * z))
 
 
-def log_depth(depth: NDArray[np.float32]) -> NDArray[np.float32]:
+def log_depth(depth: Float32) -> Float32:
     """Logarithm of a predicted or measured depth in metres, float32 of the same shape."""
     return np.asarray(np.log(np.maximum(depth, np.float32(_LEAST_DEPTH_M))))
 
@@ -211,7 +210,7 @@ def shrink_factor(size: tuple[int, ...]) -> int:
     return max(1, size[0] // _ROWS)
 
 
-def find_jumps(points: Points) -> NDArray[np.bool_]:
+def find_jumps(points: Points) -> Bools:
     """Return where a neighbour on the same scan line is clearly farther, bool (N,).
 
     `points` are float32 (N, 3), x to the right, y down, as seen from the LiDAR, in any order.
@@ -238,7 +237,7 @@ def _sample(points: Points, most: int) -> Points:
     return points[:: len(points) // most + 1]
 
 
-def _shrunk(answer: NDArray[np.float32], step: int) -> NDArray[np.float32]:
+def _shrunk(answer: Float32, step: int) -> Float32:
     """Means of step x step pixels; an incomplete last row or column is left out."""
     height, width = answer.shape[0] // step, answer.shape[1] // step
     whole = answer[: height * step, : width * step]

@@ -12,6 +12,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from runtime.base.arrays import Bools, Float32, Indices
 from runtime.contract.heads import ResizeRule
 
 Size = tuple[int, int]  # (height, width)
@@ -45,7 +46,7 @@ def resize_nearest(values: NDArray[Any], size: Size) -> NDArray[Any]:
     return cv2.resize(values, (width, height), interpolation=cv2.INTER_NEAREST_EXACT)
 
 
-def resize_surface(depth: NDArray[np.float32], size: Size) -> NDArray[np.float32]:
+def resize_surface(depth: Float32, size: Size) -> Float32:
     """Resize a map of predicted depth, (H, W), to `size`; two surfaces are never mixed.
 
     When the map grows, inverse depth is interpolated bilinearly if the 3 x 3 pixels around the
@@ -62,7 +63,7 @@ def resize_surface(depth: NDArray[np.float32], size: Size) -> NDArray[np.float32
     return resized
 
 
-def is_one_surface(depth: NDArray[np.float32]) -> NDArray[np.bool_]:
+def is_one_surface(depth: Float32) -> Bools:
     """Return whether the 3 x 3 pixels around each pixel are one surface, see `SAME_SURFACE`."""
     farthest, nearest = cv2.dilate(depth, _AROUND), cv2.erode(depth, _AROUND)
     return (nearest > 0) & (farthest <= SAME_SURFACE * nearest)
@@ -76,7 +77,7 @@ RESIZE: dict[ResizeRule, Callable[[NDArray[Any], Size], NDArray[Any]]] = {
 }
 
 
-def move_returns(sparse_depth: NDArray[np.float32], size: Size) -> NDArray[np.float32]:
+def move_returns(sparse_depth: Float32, size: Size) -> Float32:
     """Move each return of a sparse depth map to its pixel in a map of another size.
 
     No return is duplicated or mixed with another. If several returns fall into one pixel, the
@@ -94,8 +95,8 @@ def move_returns(sparse_depth: NDArray[np.float32], size: Size) -> NDArray[np.fl
 
 
 def move_scan_lines(
-    sparse_depth: NDArray[np.float32], scan_line: NDArray[np.int16], size: Size
-) -> tuple[NDArray[np.float32], NDArray[np.int16]]:
+    sparse_depth: Float32, scan_line: NDArray[np.int16], size: Size
+) -> tuple[Float32, NDArray[np.int16]]:
     """Move returns as `move_returns` does, and their scan lines: int16 (H, W), -1 = none."""
     source, target = _moves(sparse_depth, size)
     return (
@@ -112,7 +113,7 @@ def _moved(
     return moved.reshape(size)
 
 
-def _moves(sparse_depth: NDArray[np.float32], size: Size) -> tuple[NDArray[Any], NDArray[Any]]:
+def _moves(sparse_depth: Float32, size: Size) -> tuple[NDArray[Any], NDArray[Any]]:
     """Return flat indices of the returns that are kept, and of their pixels in `size`."""
     (height, width), (new_height, new_width) = sparse_depth.shape, size
     # np.nonzero is four times as fast on a mask as on floats.
@@ -127,7 +128,7 @@ def _moves(sparse_depth: NDArray[np.float32], size: Size) -> tuple[NDArray[Any],
     return source[stays], target[stays]
 
 
-def _moved_pixels(old: int, new: int) -> NDArray[np.intp]:
+def _moved_pixels(old: int, new: int) -> Indices:
     """Return rint((u + 0.5) * new / old - 0.5) for each pixel u of a side, as integers (old,)."""
     numerator = (2 * np.arange(old) + 1) * new - old
     pixel, remainder = np.divmod(numerator, 2 * old)

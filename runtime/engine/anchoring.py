@@ -12,6 +12,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from runtime.base.arrays import Bools, Float64, Indices
 from runtime.contract.resize import is_one_surface
 
 Floats = NDArray[Any]  # float32
@@ -146,17 +147,12 @@ def _tent(plane: Floats, size: tuple[int, int]) -> Floats:
     return cv2.sepFilter2D(plane, -1, _TENT, _TENT, borderType=cv2.BORDER_CONSTANT)
 
 
-def _place(pixels: NDArray[np.intp], old: int, new: int) -> NDArray[np.float64]:
+def _place(pixels: Indices, old: int, new: int) -> Float64:
     """Return where pixel centres lie on the network's grid, clipped to its outermost centres."""
     return np.clip((pixels + 0.5) * (new / old) - 0.5, 0, new - 1)
 
 
-def _depth_at(
-    depth: Floats,
-    is_surface: NDArray[np.bool_],
-    row: NDArray[np.float64],
-    column: NDArray[np.float64],
-) -> NDArray[np.float64]:
+def _depth_at(depth: Floats, is_surface: Bools, row: Float64, column: Float64) -> Float64:
     """Return the predicted depth at fractional places, interpolated like in `resize_surface`."""
     top = np.minimum(row.astype(np.intp), depth.shape[0] - 2)
     left = np.minimum(column.astype(np.intp), depth.shape[1] - 2)

@@ -6,8 +6,8 @@ on a motorway by night, which is dark, and on pictures that were blurred, darken
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
+from runtime.base.arrays import UInt8
 from runtime.contract.degraded import (
     IMAGE_BLURRED,
     IMAGE_CONSTANT,
@@ -26,12 +26,12 @@ _BRIGHT, _SATURATED = 150, 250  # of 255
 _SHARP, _BRIGHT_SHARE, _SATURATED_SHARE = 0.27, 0.02, 0.5
 
 
-def find_doubts(rgb: NDArray[np.uint8]) -> tuple[str, ...]:
+def find_doubts(rgb: UInt8) -> tuple[str, ...]:
     """Return the reasons of `Prediction.degraded` that an image, uint8 (H, W, 3), gives."""
     return (IMAGE_CONSTANT,) if is_constant(rgb) else find_measured_doubts(rgb)
 
 
-def find_measured_doubts(rgb: NDArray[np.uint8]) -> tuple[str, ...]:
+def find_measured_doubts(rgb: UInt8) -> tuple[str, ...]:
     """Return the reasons that follow from the measures of an image, also of a constant one.
 
     The sharpness is the steepest step between neighbours in a row over the highest step within
@@ -51,7 +51,7 @@ def find_measured_doubts(rgb: NDArray[np.uint8]) -> tuple[str, ...]:
     return tuple(reason for reason, holds in found.items() if holds)
 
 
-def is_constant(rgb: NDArray[np.uint8]) -> bool:
+def is_constant(rgb: UInt8) -> bool:
     """Whether all pixels of `rgb`, uint8 (H, W, 3), have the same colour."""
     first = rgb[0, 0]
     if (rgb[::_CONSTANT_STEP, ::_CONSTANT_STEP] != first).any():
@@ -59,7 +59,7 @@ def is_constant(rgb: NDArray[np.uint8]) -> bool:
     return bool((rgb == first).all())
 
 
-def _highest_steps(rows: NDArray[np.uint8], apart: int) -> float:
+def _highest_steps(rows: UInt8, apart: int) -> float:
     """Return the sum over the rows of the largest difference of pixels `apart` columns."""
     steps = cv2.absdiff(rows[:, apart:], rows[:, :-apart])
     return float(steps.max(axis=1).sum(dtype=np.float64))

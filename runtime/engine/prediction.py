@@ -6,9 +6,9 @@ from dataclasses import astuple, dataclass, field, replace
 from os import PathLike
 from typing import TYPE_CHECKING, Any, Literal
 
-import numpy as np
 from numpy.typing import NDArray
 
+from runtime.base.arrays import Float32, Floats, UInt8
 from runtime.base.errors import InputError
 from runtime.contract.contract import MAX_RETURN_M, Contract
 
@@ -61,22 +61,22 @@ class HeadArrays:
     heads: Mapping[str, NDArray[Any]]
 
     @property
-    def semantic(self) -> NDArray[np.uint8] | None:
+    def semantic(self) -> UInt8 | None:
         """Class ids, uint8 (H, W), see `Contract.classes`; None without that head."""
         return self.heads.get("semantic")
 
     @property
-    def depth(self) -> NDArray[np.float32] | None:
+    def depth(self) -> Float32 | None:
         """Metres along the optical axis, float32 (H, W); None without that head."""
         return self.heads.get("depth")
 
     @property
-    def boundary(self) -> NDArray[np.float32] | None:
+    def boundary(self) -> Float32 | None:
         """Probability 0..1 of a boundary between classes, float32 (H, W); None without it."""
         return self.heads.get("boundary")
 
     @property
-    def depth_uncertainty(self) -> NDArray[np.float32] | None:
+    def depth_uncertainty(self) -> Float32 | None:
         """Scale b [m] of a Laplace distribution around `depth`, float32 (H, W); None without it.
 
         63 % of the errors are meant to lie within b, 86 % within 2 b.
@@ -84,7 +84,7 @@ class HeadArrays:
         return self.heads.get("depth_uncertainty")
 
     @property
-    def semantic_logits(self) -> NDArray[np.float32] | None:
+    def semantic_logits(self) -> Float32 | None:
         """Class scores, float32 (C, H, W); None unless the model was exported with them."""
         return self.heads.get("semantic_logits")
 
@@ -140,7 +140,7 @@ class Prediction(HeadArrays):
         """Names of the classes in the order of the ids of `semantic`; () if none are known."""
         return () if self.contract is None else tuple(each.name for each in self.contract.classes)
 
-    def draw(self, rgb: NDArray[np.uint8] | None = None) -> NDArray[np.uint8]:
+    def draw(self, rgb: UInt8 | None = None) -> UInt8:
         """Draw one picture of the frame and its answers.
 
         Args:
@@ -162,9 +162,9 @@ class Prediction(HeadArrays):
     def save(
         self,
         path: "str | PathLike[str]",
-        rgb: NDArray[np.uint8] | None = None,
+        rgb: UInt8 | None = None,
         *,
-        intrinsics: "NDArray[np.floating[Any]] | Calibration | None" = None,
+        intrinsics: "Floats | Calibration | None" = None,
     ) -> None:
         """Write the prediction to a file; an existing file is replaced after a complete write.
 
@@ -186,8 +186,8 @@ class Prediction(HeadArrays):
 
     def points(
         self,
-        intrinsics: "NDArray[np.floating[Any]] | Calibration",
-        rgb: NDArray[np.uint8] | None = None,
+        intrinsics: "Floats | Calibration",
+        rgb: UInt8 | None = None,
         *,
         edge_boundary: float | Literal["auto"] | None = "auto",
         keep_sky: bool = False,

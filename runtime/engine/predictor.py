@@ -9,9 +9,9 @@ from os import PathLike
 from typing import Any, NoReturn
 
 import numpy as np
-from numpy.typing import NDArray
 
 from runtime.base.arguments import check_integer, shown
+from runtime.base.arrays import Float32, UInt8
 from runtime.base.errors import ContractError, InferenceError, InputError
 from runtime.base.process_guard import ProcessGuard
 from runtime.contract.canonical_focal import CameraScale, camera_scale
@@ -130,8 +130,8 @@ class Predictor:
 
     def predict(
         self,
-        rgb: NDArray[np.uint8],
-        sparse_depth: NDArray[np.float32] | None = None,
+        rgb: UInt8,
+        sparse_depth: Float32 | None = None,
         *,
         focal_length_px: float | None = None,
         stamp: Any = None,
@@ -164,7 +164,7 @@ class Predictor:
 
     def predict_batch(
         self,
-        frames: Sequence[tuple[NDArray[np.uint8], NDArray[np.float32] | None]],
+        frames: Sequence[tuple[UInt8, Float32 | None]],
         *,
         focal_lengths_px: Sequence[float | None] | None = None,
         stamps: Sequence[Any] | None = None,

@@ -8,9 +8,9 @@ from typing import Any
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from runtime.base.arguments import array_dtype
+from runtime.base.arrays import Float32, UInt8
 from runtime.base.errors import InputError
 from runtime.contract.canonical_focal import CameraScale
 from runtime.contract.contract import MIN_SIDE, farthest_return
@@ -45,10 +45,10 @@ class NetworkInput:
         preprocess_ms: time of checking, cleaning and resizing.
     """
 
-    rgb: NDArray[np.uint8]
-    sparse_depth: NDArray[np.float32]
+    rgb: UInt8
+    sparse_depth: Float32
     frame_size: Size
-    full_size_returns: NDArray[np.float32] | None
+    full_size_returns: Float32 | None
     cleaned: Cleaned
     depth_returns: int
     degraded: tuple[str, ...]
@@ -117,7 +117,7 @@ def preprocess(
     )
 
 
-def check_rgb(rgb: Any) -> NDArray[np.uint8]:
+def check_rgb(rgb: Any) -> UInt8:
     """Return `rgb`, contiguous; InputError unless it is uint8 (H, W, 3), each side >= MIN_SIDE."""
     if (kind := array_dtype(rgb)) != np.uint8:
         raise InputError(
@@ -138,7 +138,7 @@ def check_rgb(rgb: Any) -> NDArray[np.uint8]:
     return np.ascontiguousarray(rgb)
 
 
-def check_sparse_depth(sparse_depth: Any, *, size: tuple[int, int]) -> NDArray[np.float32]:
+def check_sparse_depth(sparse_depth: Any, *, size: tuple[int, int]) -> Float32:
     """Return `sparse_depth`, contiguous; InputError unless it is float32 (H, W) of `size`."""
     if (kind := array_dtype(sparse_depth)) != np.float32:
         hint = "use np.asarray(sparse_depth, np.float32), of a masked array its .filled(0)"
@@ -158,8 +158,8 @@ def check_sparse_depth(sparse_depth: Any, *, size: tuple[int, int]) -> NDArray[n
 
 
 def clean_sparse_depth(
-    sparse_depth: NDArray[np.float32], *, max_depth_m: float
-) -> tuple[NDArray[np.float32], Cleaned, int]:
+    sparse_depth: Float32, *, max_depth_m: float
+) -> tuple[Float32, Cleaned, int]:
     """Replace invalid depth by 0 and clip returns to the range, see `farthest_return`.
 
     Args:
@@ -189,7 +189,7 @@ def clean_sparse_depth(
     return kept, cleaned, cv2.countNonZero(kept)
 
 
-def covers_little(sparse_depth: NDArray[np.float32], *, returns: int) -> bool:
+def covers_little(sparse_depth: Float32, *, returns: int) -> bool:
     """Return whether the returns lie in fewer than `_LOW_SHARE` of the image's cells, see `_GRID`.
 
     The cells make the result independent of the camera's resolution. A cell is at least one pixel.

@@ -8,9 +8,9 @@ from typing import Any
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from runtime.base.arguments import shown
+from runtime.base.arrays import Float32, Float64, UInt8
 from runtime.base.errors import InputError
 from runtime.files.read_input import read_toml
 from runtime.geometry.assumptions import assume
@@ -58,10 +58,10 @@ class Calibration:
             coefficients do not fit the lens.
     """
 
-    intrinsics: NDArray[np.float64]
-    extrinsics: NDArray[np.float64]
+    intrinsics: Float64
+    extrinsics: Float64
     size: tuple[int, int] | None = None
-    body_from_lidar: NDArray[np.float64] | None = None
+    body_from_lidar: Float64 | None = None
     lens: str | None = None
     distortion: Sequence[float] | None = None
 
@@ -102,7 +102,7 @@ class Calibration:
         """The calibration without lens, for the images that `rectify` returns."""
         return replace(self, lens=None, distortion=None)
 
-    def rectify(self, rgb: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    def rectify(self, rgb: UInt8) -> UInt8:
         """Return an image without distortion, of the same size and focal length.
 
         Parts of the scene that fall outside this size are lost; pixels without a source are black.
@@ -120,7 +120,7 @@ class Calibration:
         maps = rectifying_maps(lens, cache_key(self.intrinsics), size)
         return cv2.remap(rgb, *maps, cv2.INTER_LINEAR)  # type: ignore[return-value]
 
-    def project(self, points: NDArray[np.float32], size: tuple[int, int]) -> NDArray[np.float32]:
+    def project(self, points: Float32, size: tuple[int, int]) -> Float32:
         """Project a scan into the image, through the lens, see `project_points`.
 
         Args:

@@ -2,11 +2,10 @@
 
 import contextlib
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from runtime.base.arrays import Float64, Floats
 from runtime.base.errors import InputError
 from runtime.files.read_input import read_text
 from runtime.geometry.projection import split_projection
@@ -28,7 +27,7 @@ _SIZES = {
 _SAME_PX = 0.1
 
 
-def kitti_image_size(intrinsics: NDArray[np.floating[Any]]) -> tuple[int, int] | None:
+def kitti_image_size(intrinsics: Floats) -> tuple[int, int] | None:
     """The (height, width) of KITTI's images with these intrinsics; None for any other camera."""
     numbers = intrinsics[[0, 0, 1], [0, 2, 2]]
     same = (size for known, size in _SIZES.items() if np.abs(numbers - known).max() < _SAME_PX)
@@ -53,7 +52,7 @@ class NumbersFile:
     def __contains__(self, name: str) -> bool:
         return name in self._entries
 
-    def matrix(self, name: str, rows: int, columns: int) -> NDArray[np.float64]:
+    def matrix(self, name: str, rows: int, columns: int) -> Float64:
         """The numbers under a name, float64 (rows, columns).
 
         Raises InputError if they are missing or not finite, or if their count is wrong.
@@ -75,10 +74,8 @@ def is_kitti(numbers: NumbersFile) -> bool:
 
 
 def compose_matrices(
-    projection: NDArray[np.float64],
-    rectify: NDArray[np.float64],
-    to_camera: NDArray[np.float64],
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    projection: Float64, rectify: Float64, to_camera: Float64
+) -> tuple[Float64, Float64]:
     """Return the camera's intrinsics (3, 3) and the extrinsics (4, 4) from the LiDAR to it.
 
     The arguments are P_rect (3, 4), R_rect (3, 3) and the LiDAR's R and T (3, 4). Raises InputError

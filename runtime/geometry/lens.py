@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from runtime.base.arguments import shown
+from runtime.base.arrays import Float32, Float64, Floats
 from runtime.base.errors import InputError
 from runtime.geometry.assumptions import assume
 
@@ -33,7 +34,7 @@ _KNOTS = 65_537  # of the table of angles: with linear interpolation the error i
 _ROUNDS, _CLOSE = 20, 1e-7  # for the inversion of the tangential part
 
 Key = tuple[float, ...]
-Floats = TypeVar("Floats", NDArray[np.float32], NDArray[np.float64])
+Rays = TypeVar("Rays", Float32, Float64)
 
 
 class RayBounds(NamedTuple):
@@ -103,16 +104,14 @@ class Lens:
             assume(f"a pinhole: all coefficients of {shown(model)} are 0", "give `calibration=`")
         return None
 
-    def distort(self, x: Floats, y: Floats) -> tuple[Floats, Floats]:
+    def distort(self, x: Rays, y: Rays) -> tuple[Rays, Rays]:
         """Project rays to the image plane at focal length 1; they must be in the field of view."""
         radius_2 = x * x + y * y
         scale = self._scale(radius_2)
         moved_x, moved_y = self._tangential(x, y, radius_2)
         return x * scale + moved_x, y * scale + moved_y
 
-    def undistort(
-        self, x: NDArray[np.float64], y: NDArray[np.float64]
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def undistort(self, x: Float64, y: Float64) -> tuple[Float64, Float64]:
         """Return the ray of each point (x, y) of the image plane; NaN if there is no such ray."""
         angles, radii = _field(self)
         ray_x, ray_y = x, y
@@ -155,7 +154,7 @@ class Lens:
             scale /= 1 + radius_2 * (k4 + radius_2 * (k5 + radius_2 * k6))
         return scale
 
-    def _tangential(self, x: Floats, y: Floats, radius_2: Floats) -> tuple[Any, Any]:
+    def _tangential(self, x: Rays, y: Rays, radius_2: Rays) -> tuple[Any, Any]:
         if not self._has_tangential:
             return 0, 0
         p1, p2 = self.coefficients[2:4]
@@ -165,8 +164,8 @@ class Lens:
 
 
 def to_image_plane(
-    intrinsics: NDArray[np.floating[Any]], column: NDArray[Any], row: NDArray[Any]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    intrinsics: Floats, column: NDArray[Any], row: NDArray[Any]
+) -> tuple[Float64, Float64]:
     """Return where pixels lie on the image plane at focal length 1, (x, y).
 
     In a rectified image this is the ray of the pixel.
@@ -176,18 +175,18 @@ def to_image_plane(
     return x, y
 
 
-def cache_key(intrinsics: NDArray[np.floating[Any]]) -> Key:
+def cache_key(intrinsics: Floats) -> Key:
     """Return the numbers of a matrix (3, 3), a key for the cached tables of a camera."""
     return tuple(intrinsics.astype(np.float64).ravel().tolist())
 
 
 @lru_cache(maxsize=16)
-def _field(lens: Lens) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _field(lens: Lens) -> tuple[Float64, Float64]:
     """Angles from the optical axis, while the radius in the image grows, and these radii."""
     angles = np.linspace(0, _WIDEST, _KNOTS)
     radius = np.tan(angles)
     with np.errstate(all="ignore"):
-        radii: NDArray[np.float64] = radius * lens._scale(radius * radius)
+        radii: Float64 = radius * lens._scale(radius * radius)
         ends = np.flatnonzero(~(np.diff(radii) > 0))
     count = ends[0] + 1 if len(ends) else _KNOTS
     return angles[:count], radii[:count]
@@ -227,12 +226,8 @@ def ray_bounds(lens: Lens, intrinsics: Key, size: tuple[int, int]) -> RayBounds:
 
 
 def pixels_of_rays(
-    x: Floats,
-    y: Floats,
-    lens: Lens | None,
-    intrinsics: NDArray[np.floating[Any]],
-    size: tuple[int, int],
-) -> list[Floats]:
+    x: Rays, y: Rays, lens: Lens | None, intrinsics: Floats, size: tuple[int, int]
+) -> list[Rays]:
     """Return the columns and the rows at which rays meet an image; -1 where the lens sees none."""
     seen = None
     if lens is not None:
@@ -244,9 +239,7 @@ def pixels_of_rays(
 
 
 @lru_cache(maxsize=4)
-def rectifying_maps(
-    lens: Lens, intrinsics: Key, size: tuple[int, int]
-) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+def rectifying_maps(lens: Lens, intrinsics: Key, size: tuple[int, int]) -> tuple[Float32, Float32]:
     """Return where each pixel of the rectified image lies in the distorted one, for `cv2.remap`.
 
     The columns and rows are float32 (height, width), -1 where nothing was seen, and are kept for

@@ -3,9 +3,9 @@
 from typing import Any, Literal, NamedTuple, cast
 
 import numpy as np
-from numpy.typing import NDArray
 
 from runtime.base.arguments import shown
+from runtime.base.arrays import Bools, Float32, Float64, Indices, Int64
 from runtime.base.errors import InputError
 from runtime.base.stamp import NS_PER_MS
 from runtime.geometry.assumptions import assume
@@ -31,9 +31,7 @@ _KNOTS = 65
 _STEPS = 64
 
 
-def find_returns(
-    points: Any, after_s: NDArray[np.float64] | None
-) -> tuple[NDArray[np.bool_], bool]:
+def find_returns(points: Any, after_s: Float64 | None) -> tuple[Bools, bool]:
     """Return which points of a scan are kept, bool (N,), and whether times left out returns.
 
     See `Scan.of`, which also has the arguments and errors.
@@ -52,7 +50,7 @@ def find_returns(
     return kept, bool((kept != returns).any())
 
 
-def _check_clock(after_s: NDArray[np.float64]) -> None:
+def _check_clock(after_s: Float64) -> None:
     """Warn if the times of points, in seconds after their scan's stamp, are far from the stamp.
 
     A stamp lies between the start and the end of its scan, or at most one scan duration from it.
@@ -81,7 +79,7 @@ def check_scan_stamp(value: Any) -> ScanStamp:
     return cast(ScanStamp, value)
 
 
-def point_times(times: Any, count: int, stamp_ns: int) -> NDArray[np.float64]:
+def point_times(times: Any, count: int, stamp_ns: int) -> Float64:
     """Return when the points of a scan were measured, float64 (N,), in seconds after the stamp.
 
     Args:
@@ -105,9 +103,7 @@ def point_times(times: Any, count: int, stamp_ns: int) -> NDArray[np.float64]:
     return np.asarray((times.astype(np.int64) - stamp_ns) / 1e9)
 
 
-def compensate_points(
-    points: NDArray[np.float32], times: NDArray[np.int64] | int, poses: PoseTrack, to: int
-) -> NDArray[np.float32]:
+def compensate_points(points: Float32, times: Int64 | int, poses: PoseTrack, to: int) -> Float32:
     """Move each return from where the LiDAR was at its own time to where it is at another time.
 
     An object that stands still is then where the LiDAR would have measured it at the time `to`.
@@ -136,12 +132,12 @@ def compensate_points(
 
 def project_compensated(
     calibration: Calibration,
-    points: NDArray[np.float32],
-    times: NDArray[np.int64] | int,
+    points: Float32,
+    times: Int64 | int,
     poses: PoseTrack,
     to: int,
     size: tuple[int, int],
-) -> NDArray[np.float32]:
+) -> Float32:
     """Project a scan into an image of the time `to`, see `compensate_points` and `project_points`.
 
     Args:
@@ -179,12 +175,12 @@ def project_compensated(
 class _Table(NamedTuple):
     """The 12 entries of matrices to one time, float32 (12, M), in even steps from `first_ns`."""
 
-    entries: NDArray[np.float32]
+    entries: Float32
     first_ns: int
     steps_a_ns: float
 
 
-def _table(times: NDArray[np.int64], poses: PoseTrack, to_ns: int) -> _Table:
+def _table(times: Int64, poses: PoseTrack, to_ns: int) -> _Table:
     """The matrices for the times of a scan. Raises NoPoseError."""
     first_ns, last_ns = int(times.min()), int(times.max())
     poses.at(np.array([first_ns, last_ns], np.int64))  # raises NoPoseError early
@@ -198,12 +194,7 @@ def _table(times: NDArray[np.int64], poses: PoseTrack, to_ns: int) -> _Table:
     return _Table(entries, first_ns, (entries.shape[1] - 1) / max(last_ns - first_ns, 1))
 
 
-def _move(
-    xyz: NDArray[np.float32],
-    times: NDArray[np.int64],
-    table: _Table,
-    moved: NDArray[np.float32],
-) -> None:
+def _move(xyz: Float32, times: Int64, table: _Table, moved: Float32) -> None:
     """Move points, float32 (3, N), into the first columns of (N, 3), each by its time's matrix."""
     place = (times - table.first_ns).astype(np.float32)
     place *= np.float32(table.steps_a_ns)
@@ -221,9 +212,7 @@ def _move(
             moved[:, row] = total
 
 
-def _in_front(
-    xyz: NDArray[np.float32], table: _Table, extrinsics: NDArray[np.float64]
-) -> NDArray[np.intp]:
+def _in_front(xyz: Float32, table: _Table, extrinsics: Float64) -> Indices:
     """A superset of the points that any of the matrices moves in front of the camera."""
     moves = table.entries[:, ::_STEPS].T.reshape(-1, 3, 4).astype(np.float64)
     ahead = extrinsics[2, :3] @ moves
@@ -239,7 +228,7 @@ def _in_front(
     return np.flatnonzero(depth >= np.float32(nearest))  # false for NaN
 
 
-def lidar_mount(pose_frame: PoseFrame | str, calibration: Calibration) -> NDArray[np.float64]:
+def lidar_mount(pose_frame: PoseFrame | str, calibration: Calibration) -> Float64:
     """Return the matrix, float64 (4, 4), from the LiDAR to the frame whose poses are given.
 
     Raises:
@@ -258,9 +247,7 @@ def lidar_mount(pose_frame: PoseFrame | str, calibration: Calibration) -> NDArra
     return calibration.body_from_lidar
 
 
-def relative_poses(
-    poses: PoseTrack, times_ns: NDArray[np.int64], to_ns: int
-) -> NDArray[np.float64]:
+def relative_poses(poses: PoseTrack, times_ns: Int64, to_ns: int) -> Float64:
     """Return matrices from the frame at each of the times to the frame at `to_ns`.
 
     Returns:

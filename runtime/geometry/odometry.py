@@ -3,8 +3,8 @@
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from runtime.base.arrays import Float32, Float64
 from runtime.base.errors import InputError, import_remedy
 from runtime.geometry.returns import check_points, is_return
 
@@ -40,7 +40,7 @@ class Odometry:
         config.registration.max_num_threads = threads
         self._registration: Any = KissICP(config)
 
-    def add(self, points: NDArray[np.float32]) -> NDArray[np.float64]:
+    def add(self, points: Float32) -> Float64:
         """Return the pose of the LiDAR, float64 (4, 4), at the next scan; that of the first is I.
 
         Args:

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from runtime.base.arguments import check_number
+from runtime.base.arrays import Float32, Floats, UInt8
 from runtime.base.errors import InputError
 from runtime.contract.heads import EDGE_BOUNDARY
 from runtime.geometry.lens import Lens, cache_key, rays, to_image_plane
@@ -30,10 +31,10 @@ class PointCloud:
         columns: int32 (N,), column of each point's pixel.
     """
 
-    points: NDArray[np.float32]
-    rgb: NDArray[np.uint8] | None
-    semantic: NDArray[np.uint8] | None
-    uncertainty: NDArray[np.float32] | None
+    points: Float32
+    rgb: UInt8 | None
+    semantic: UInt8 | None
+    uncertainty: Float32 | None
     rows: NDArray[np.int32]
     columns: NDArray[np.int32]
 
@@ -52,14 +53,14 @@ def _taken(arrays: Mapping[str, NDArray[Any] | None], chosen: Any) -> dict[str, 
 
 
 def depth_to_cloud(
-    depth: NDArray[np.float32],
-    intrinsics: NDArray[np.floating[Any]],
+    depth: Float32,
+    intrinsics: Floats,
     *,
     lens: Lens | None = None,
-    rgb: NDArray[np.uint8] | None = None,
-    semantic: NDArray[np.uint8] | None = None,
-    boundary: NDArray[np.float32] | None = None,
-    uncertainty: NDArray[np.float32] | None = None,
+    rgb: UInt8 | None = None,
+    semantic: UInt8 | None = None,
+    boundary: Float32 | None = None,
+    uncertainty: Float32 | None = None,
     edge_boundary: float | Literal["auto"] | None = "auto",
     max_uncertainty: float | None = None,
     sky: int | None = None,

@@ -12,9 +12,9 @@ from operator import attrgetter
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from runtime.base.arguments import check_integer, shown
+from runtime.base.arrays import Bools, Float64, Int64
 from runtime.base.errors import InputError
 from runtime.base.stamp import JUMP_BACK_NS, NS_PER_MS
 from runtime.contract.degraded import NO_POSE, POSE_CLOCK, POSE_GAP, POSE_JUMP
@@ -78,11 +78,11 @@ class PoseTrack:
         mount: float64 (4, 4) from the frame to be moved to the frame of the poses.
     """
 
-    stamps_ns: NDArray[np.int64]
-    quaternions: NDArray[np.float64]
-    positions: NDArray[np.float64]
-    jumped: NDArray[np.bool_]
-    mount: NDArray[np.float64]
+    stamps_ns: Int64
+    quaternions: Float64
+    positions: Float64
+    jumped: Bools
+    mount: Float64
 
     @classmethod
     def of(cls, poses: Any, stamps_ns: Any) -> "PoseTrack":
@@ -109,11 +109,11 @@ class PoseTrack:
             buffer.add(nearest_rigid("pose", pose), stamp_ns)
         return buffer.whole()
 
-    def mounted(self, mount: NDArray[np.float64]) -> "PoseTrack":
+    def mounted(self, mount: Float64) -> "PoseTrack":
         """Return the motion of a frame that `mount`, (4, 4), transforms to the poses' frame."""
         return replace(self, mount=mount)
 
-    def at(self, times_ns: NDArray[np.int64]) -> NDArray[np.float64]:
+    def at(self, times_ns: Int64) -> Float64:
         """Return the poses at some times, float64 (M, 4, 4), all in one fixed frame.
 
         Args:
@@ -165,8 +165,8 @@ class PoseTrack:
 
 class _Pose(NamedTuple):
     stamp_ns: int
-    quaternion: NDArray[np.float64]
-    position: NDArray[np.float64]
+    quaternion: Float64
+    position: Float64
     jumped: bool = False
 
 
@@ -186,7 +186,7 @@ class PoseBuffer:
         """The stamp of the newest pose."""
         return self._poses[-1].stamp_ns if self._poses else None
 
-    def add(self, pose: NDArray[np.float64], stamp_ns: int) -> bool:
+    def add(self, pose: Float64, stamp_ns: int) -> bool:
         """Add a pose that `nearest_rigid` returned; return False if it is ignored as not newer."""
         newest_ns = self.newest_ns
         if newest_ns is not None and stamp_ns <= newest_ns:
@@ -277,7 +277,7 @@ class PoseBuffer:
         )
 
 
-def quaternion_of(rotation: NDArray[np.float64]) -> NDArray[np.float64]:
+def quaternion_of(rotation: Float64) -> Float64:
     """w, x, y, z of a rotation matrix, by its largest component (Shepperd 1978)."""
     (a, b, c), (d, e, f), (g, h, i) = rotation.tolist()
     choices = (a + e + i, a - e - i, e - a - i, i - a - e)
@@ -292,9 +292,7 @@ def quaternion_of(rotation: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.asarray(quaternion / np.linalg.norm(quaternion))
 
 
-def _slerp(
-    first: NDArray[np.float64], second: NDArray[np.float64], weights: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def _slerp(first: Float64, second: Float64, weights: Float64) -> Float64:
     """Unit quaternions (M, 4) between two, on the shorter way; weights outside 0..1 extrapolate."""
     cosine = np.einsum("ij,ij->i", first, second)
     second = np.where(cosine[:, None] < 0, -second, second)
@@ -308,7 +306,7 @@ def _slerp(
     return np.asarray(between / np.linalg.norm(between, axis=1, keepdims=True))
 
 
-def rotations(quaternions: NDArray[np.float64]) -> NDArray[np.float64]:
+def rotations(quaternions: Float64) -> Float64:
     """Rotation matrices (M, 3, 3) of unit quaternions."""
     w, x, y, z = quaternions.T
     matrices = np.array(

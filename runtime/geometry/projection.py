@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from runtime.base.arguments import check_integer, shown
+from runtime.base.arrays import Float32, Float64, Floats, Indices, Int64
 from runtime.base.errors import InputError
 from runtime.contract.contract import MAX_SIDE
 from runtime.geometry.lens import Lens, cache_key, pixels_of_rays, ray_bounds
@@ -28,18 +29,18 @@ class ProjectedPoints(NamedTuple):
         rows: int32 (H, W), index of each pixel's return in the points, -1 if it has none.
     """
 
-    sparse_depth: NDArray[np.float32]
+    sparse_depth: Float32
     rows: NDArray[np.int32]
 
 
 def project_points(
-    points: NDArray[np.float32],
-    intrinsics: NDArray[np.floating[Any]],
-    extrinsics: NDArray[np.floating[Any]],
+    points: Float32,
+    intrinsics: Floats,
+    extrinsics: Floats,
     size: tuple[int, int],
     *,
     lens: Lens | None = None,
-) -> NDArray[np.float32]:
+) -> Float32:
     """Project LiDAR returns into a camera as a sparse depth map.
 
     If several returns fall on one pixel, the nearest is kept. Returns behind the camera or outside
@@ -65,9 +66,9 @@ def project_points(
 
 
 def project_with_rows(
-    points: NDArray[np.float32],
-    intrinsics: NDArray[np.floating[Any]],
-    extrinsics: NDArray[np.floating[Any]],
+    points: Float32,
+    intrinsics: Floats,
+    extrinsics: Floats,
     size: tuple[int, int],
     *,
     lens: Lens | None = None,
@@ -101,15 +102,15 @@ class PixelsOfPoints(NamedTuple):
         depth: float32 (M,), metres along the optical axis.
     """
 
-    rows: NDArray[np.intp]
-    pixel: NDArray[np.int64]
-    depth: NDArray[np.float32]
+    rows: Indices
+    pixel: Int64
+    depth: Float32
 
 
 def find_pixels(
-    axes: NDArray[np.float32],
-    intrinsics: NDArray[np.floating[Any]],
-    extrinsics: NDArray[np.float64],
+    axes: Float32,
+    intrinsics: Floats,
+    extrinsics: Float64,
     size: tuple[int, ...],
     *,
     lens: Lens | None = None,
@@ -146,7 +147,7 @@ def find_pixels(
     return PixelsOfPoints(row[inside], pixel, z[inside])
 
 
-def _transform(axes: NDArray[np.float32], matrix: NDArray[np.float32]) -> list[NDArray[np.float32]]:
+def _transform(axes: Float32, matrix: Float32) -> list[Float32]:
     """Multiply `matrix`, float32 (3, 4), with (x, y, z, 1) of every point, float32 (3, N).
 
     A matrix product would use the threads of a BLAS, which compete with inference.
@@ -181,9 +182,7 @@ def check_intrinsics(matrix: Any, name: str = "intrinsics") -> None:
         )
 
 
-def split_projection(
-    projection: NDArray[np.float64], name: str
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def split_projection(projection: Float64, name: str) -> tuple[Float64, Float64]:
     """Return K (3, 3) and [I | t], (4, 4), of a projection P = K [I | t], (3, 4).
 
     t is the offset of a camera, in its own frame, from the first one of its pair. Raises InputError

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from runtime.base.arguments import array_dtype
+from runtime.base.arrays import Bools, Float32
 from runtime.base.errors import InputError
 from runtime.contract.contract import MAX_DEPTH_RANGE_M
 from runtime.geometry.assumptions import assume
@@ -26,17 +27,17 @@ _SATURATED = 65535  # 16-bit depth without a measurement
 _SATURATED_M = tuple(np.float32(_SATURATED / units) for units in (256, 1000, 100))
 
 
-def to_metres(depth: NDArray[Any], units_a_metre: float) -> NDArray[np.float32]:
+def to_metres(depth: NDArray[Any], units_a_metre: float) -> Float32:
     """Return a depth map in metres, float32; NaN where a 16-bit value is saturated."""
     scale = np.float32(units_a_metre)
     with np.errstate(over="ignore", invalid="ignore"):  # values beyond float32 are no measurement
-        metres: NDArray[np.float32] = np.divide(depth, scale, dtype=np.float32, casting="same_kind")
+        metres: Float32 = np.divide(depth, scale, dtype=np.float32, casting="same_kind")
     if depth.dtype.kind == "u":
         metres[depth == _SATURATED] = np.nan
     return metres
 
 
-def drop_saturated(metres: NDArray[np.float32], farthest: float) -> NDArray[np.float32]:
+def drop_saturated(metres: Float32, farthest: float) -> Float32:
     """Return a depth map with NaN where it was converted from saturated 16-bit values.
 
     `metres` is float32 (H, W), and is returned itself if nothing changes. Values beyond `farthest`
@@ -48,12 +49,12 @@ def drop_saturated(metres: NDArray[np.float32], farthest: float) -> NDArray[np.f
     return metres
 
 
-def is_measured(depth: NDArray[np.float32]) -> NDArray[np.bool_]:
+def is_measured(depth: Float32) -> Bools:
     """Return where depth is measured, that is not 0, negative, NaN, Inf or the largest float."""
     return (depth > 0) & (depth < np.finfo(np.float32).max)
 
 
-def check_farthest(depth: NDArray[np.float32]) -> None:
+def check_farthest(depth: Float32) -> None:
     """Warn if many pixels of a depth map have exactly its farthest depth, as at a far plane.
 
     These pixels are kept, because a wall across the whole view looks the same.
@@ -87,7 +88,7 @@ def is_transposed(shape: tuple[int, ...]) -> bool:
     return len(shape) == 2 and 3 <= shape[0] < shape[1] > _WIDEST_POINT
 
 
-def is_return(points: NDArray[np.float32], *, name: str = "a scan") -> NDArray[np.bool_]:
+def is_return(points: Float32, *, name: str = "a scan") -> Bools:
     """Return which points of a scan are returns, bool (N,).
 
     A point is no return if it is at (0, 0, 0), or a coordinate is NaN, infinite or beyond 10 km.
@@ -104,7 +105,7 @@ def is_return(points: NDArray[np.float32], *, name: str = "a scan") -> NDArray[n
             integers that were read as floats.
     """
     extent = np.maximum.reduce([np.abs(points[:, axis]) for axis in range(3)])  # may be NaN
-    returns: NDArray[np.bool_] = (extent >= _NEAREST_M) & (extent <= MAX_DEPTH_RANGE_M)
+    returns: Bools = (extent >= _NEAREST_M) & (extent <= MAX_DEPTH_RANGE_M)
     count = int(np.count_nonzero(returns))
     if count == len(points):
         return _without_misses(points, returns, count)
@@ -120,9 +121,7 @@ def is_return(points: NDArray[np.float32], *, name: str = "a scan") -> NDArray[n
     return _without_misses(points, returns, count)
 
 
-def _without_misses(
-    points: NDArray[np.float32], returns: NDArray[np.bool_], count: int
-) -> NDArray[np.bool_]:
+def _without_misses(points: Float32, returns: Bools, count: int) -> Bools:
     """Return `returns` without the points at the nearest or farthest range that mark misses.
 
     Surfaces are not spheres around the LiDAR, so far fewer returns lie at the very edge of the
@@ -152,7 +151,7 @@ def _without_misses(
     return returns
 
 
-def coordinates_of(points: NDArray[np.float32]) -> NDArray[np.float32]:
+def coordinates_of(points: Float32) -> Float32:
     """Return x, y and z of a scan, float32 (3, N), contiguous; NaN where there is no return."""
     axes = np.ascontiguousarray(points[:, :3].T)
     returns = is_return(points)

@@ -3,9 +3,9 @@
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from runtime.base.arguments import array_dtype, shown
+from runtime.base.arrays import Float64
 from runtime.base.errors import InputError
 from runtime.geometry.assumptions import assume
 
@@ -14,7 +14,7 @@ _LARGEST_M = 1e7
 _NEAR = 0.02  # DAIR-V2X's calibrations are within it, but not a lost sign or a scale
 
 
-def nearest_rotation(name: str, rotation: NDArray[np.float64]) -> NDArray[np.float64]:
+def nearest_rotation(name: str, rotation: Float64) -> Float64:
     """Return a rotation matrix, float64 (3, 3); if it is inexact, return the nearest rotation.
 
     Raises:
@@ -38,7 +38,7 @@ def nearest_rotation(name: str, rotation: NDArray[np.float64]) -> NDArray[np.flo
     return np.asarray(left @ right)
 
 
-def nearest_rigid(name: str, matrix: Any) -> NDArray[np.float64]:
+def nearest_rigid(name: str, matrix: Any) -> Float64:
     """Return a rigid transform as a new array, float64 (4, 4), see `nearest_rotation`.
 
     Raises:
@@ -53,7 +53,7 @@ def nearest_rigid(name: str, matrix: Any) -> NDArray[np.float64]:
         )
     if not np.abs(matrix[:3, 3]).max() <= _LARGEST_M:
         raise InputError(f"{name} must have a position in metres, got {matrix[:3, 3].tolist()}")
-    rigid: NDArray[np.float64] = matrix.astype(np.float64)
+    rigid: Float64 = matrix.astype(np.float64)
     rigid[:3, :3] = nearest_rotation(name, rigid[:3, :3])
     return rigid
 
@@ -69,7 +69,7 @@ def check_matrix(name: str, matrix: Any, side: int) -> None:
         raise InputError(f"{name} must be finite: check the calibration")
 
 
-def finite_matrix(name: str, numbers: Any, rows: int, columns: int) -> NDArray[np.float64]:
+def finite_matrix(name: str, numbers: Any, rows: int, columns: int) -> Float64:
     """Return numbers of any type, or their texts, as a matrix (rows, columns).
 
     Raises InputError if they are not so many finite numbers.

@@ -6,11 +6,10 @@ sees 118 degrees.
 """
 
 import math
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from runtime.base.arrays import Floats
 from runtime.geometry.assumptions import assume
 
 _WIDEST_DEGREES = 150
@@ -29,7 +28,7 @@ def check_field_of_view(focal_px: float, width: int) -> None:
         )
 
 
-def check_principal_point(intrinsics: NDArray[np.floating[Any]], size: tuple[int, ...]) -> None:
+def check_principal_point(intrinsics: Floats, size: tuple[int, ...]) -> None:
     """Warn if the principal point is outside images of this (height, width)."""
     (column, row), (height, width) = intrinsics[:2, 2], size
     if not (0 <= column <= width and 0 <= row <= height):
@@ -41,9 +40,7 @@ def check_principal_point(intrinsics: NDArray[np.floating[Any]], size: tuple[int
         )
 
 
-def check_mount_distance(
-    extrinsics: NDArray[np.floating[Any]], body: NDArray[np.floating[Any]] | None
-) -> None:
+def check_mount_distance(extrinsics: Floats, body: Floats | None) -> None:
     """Warn if the LiDAR is unlikely far from its camera or body, such as in centimetres.
 
     Args:
