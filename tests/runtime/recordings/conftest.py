@@ -81,9 +81,9 @@ def write_rgb():
 def write_depth():
     """Write a 16-bit PNG."""
 
-    def write(path, metres, *, units_a_metre=256):
+    def write(path, metres):
         path.parent.mkdir(parents=True, exist_ok=True)
-        assert cv2.imwrite(str(path), np.rint(metres * units_a_metre).astype(np.uint16))
+        assert cv2.imwrite(str(path), np.rint(metres * 256).astype(np.uint16))
 
     return write
 

@@ -39,9 +39,9 @@ def test_a_topic_is_by_its_name_and_its_encoding(topic, encoding, role):
     assert role_of(topic, encoding) is role
 
 
-def add_images(bag, topic, image, encoding, frame_id="camera"):
+def add_images(bag, topic, image, encoding):
     for index in range(2):
-        bag.image(topic, image, encoding, START_NS + 100 * MS * index, frame_id=frame_id)
+        bag.image(topic, image, encoding, START_NS + 100 * MS * index)
 
 
 def test_infrared_is_neither_depth_nor_the_camera_beside_one(record):

@@ -138,41 +138,38 @@ def test_frames_are_those_of_the_video_not_of_its_header(tmp_path, stated):
         assert len(source.list_frames(limit=3)) == 3
 
 
-def test_frames_of_a_variable_rate_are_all_read(tmp_path, write_mkv):
+def element(identity, content):
+    """An element of Matroska."""
+    return bytes.fromhex(identity) + (1 << 56 | len(content)).to_bytes(8, "big") + content
+
+
+def number(identity, value):
+    return element(identity, value.to_bytes(4, "big"))
+
+
+def write_mkv(path, times_ms):
+    """Write Motion JPEG in Matroska, a cluster a frame."""
+    scale = number("2AD7B1", 10**6)
+    duration = element("4489", struct.pack(">d", times_ms[-1] + 33.0))
+    size = element("E0", number("B0", 64) + number("BA", 48))
+    codec = element("86", b"V_MJPEG")
+    track = number("D7", 1) + number("73C5", 1) + number("83", 1) + codec + size
+    body = element("1549A966", scale + duration) + element("1654AE6B", element("AE", track))
+    for index, time_ms in enumerate(times_ms):
+        jpeg = cv2.imencode(".jpg", np.full((48, 64, 3), index + 1, np.uint8))[1].tobytes()
+        block = element("A3", b"\x81\0\0\x80" + jpeg)
+        body += element("1F43B675", number("E7", time_ms) + block)
+    head = element("4282", b"matroska") + number("4287", 2) + number("4285", 2)
+    path.write_bytes(element("1A45DFA3", head) + element("18538067", body))
+    return path
+
+
+def test_frames_of_a_variable_rate_are_all_read(tmp_path):
     """Slow, then fast: from rate and duration OpenCV estimates many more."""
     times_ms = [100 * index for index in range(20)] + [2000 + 33 * index for index in range(40)]
     with VideoSource(write_mkv(tmp_path / "drive.mkv", times_ms)) as source:
         frames = [source.read(frame) for frame in source.list_frames()]
     assert [round(frame.image.stamp_ns / 1e6) for frame in frames] == times_ms
-
-
-@pytest.fixture
-def write_mkv():
-    """Write Motion JPEG in Matroska, a cluster a frame; times in milliseconds."""
-
-    def element(identity, content):
-        return bytes.fromhex(identity) + (1 << 56 | len(content)).to_bytes(8, "big") + content
-
-    def number(identity, value):
-        return element(identity, value.to_bytes(4, "big"))
-
-    def write(path, times_ms):
-        scale = number("2AD7B1", 10**6)
-        duration = element("4489", struct.pack(">d", times_ms[-1] + 33.0))
-        size = element("E0", number("B0", 64) + number("BA", 48))
-        codec = element("86", b"V_MJPEG")
-        track = number("D7", 1) + number("73C5", 1) + number("83", 1) + codec + size
-        body = element("1549A966", scale + duration)
-        body += element("1654AE6B", element("AE", track))
-        for index, time_ms in enumerate(times_ms):
-            jpeg = cv2.imencode(".jpg", np.full((48, 64, 3), index + 1, np.uint8))[1].tobytes()
-            block = element("A3", b"\x81\0\0\x80" + jpeg)
-            body += element("1F43B675", number("E7", time_ms) + block)
-        head = element("4282", b"matroska") + number("4287", 2) + number("4285", 2)
-        path.write_bytes(element("1A45DFA3", head) + element("18538067", body))
-        return path
-
-    return write
 
 
 def test_a_damaged_frame_does_not_shift_those_behind_it(tmp_path):

@@ -15,15 +15,15 @@ WALL_M, POINTS = 40.0, 135
 DEGRADED = {"depth_reused", "depth_uncompensated", "no_pose", "pose_gap", "pose_jump", "pose_clock"}
 
 
-def wall_scan(time_ms, *, speed=15.0):
+def wall_scan(time_ms):
     """A wall that stands across the road, as the LiDAR measures it at a time: float32 (N, 3)."""
     side, up = (axis.ravel() for axis in np.meshgrid(np.linspace(-9, 9, 15), np.linspace(-7, 7, 9)))
-    distance = WALL_M - speed * time_ms / 1e3
+    distance = WALL_M - 15.0 * time_ms / 1e3
     return np.stack([np.full(POINTS, distance), side, up], axis=1).astype(np.float32)
 
 
-def car(time_ms, *, speed=15.0):
-    return pose((speed * time_ms / 1e3, 0, 0))
+def car(time_ms):
+    return pose((15.0 * time_ms / 1e3, 0, 0))
 
 
 def measured(result):
@@ -36,13 +36,12 @@ def expected(time_ms):
     return pytest.approx(WALL_M - 0.015 * time_ms, abs=2e-3)
 
 
-def messages(*, until, image_ms=50, scan_ms=100, pose_ms=10, lost=()):
+def messages(*, until, scan_ms=100, lost=()):
     """(sensor, time) of a camera, a LiDAR and poses, in the order of time."""
-    sensors = (("pose", pose_ms), ("depth", scan_ms), ("image", image_ms))
+    sensors = (("pose", 10), ("depth", scan_ms), ("image", 50))
     return sorted(
         (time_ms, order, sensor)
         for order, (sensor, period) in enumerate(sensors)
-        if period
         for time_ms in range(0, until, period)
         if (sensor, time_ms) not in lost
     )

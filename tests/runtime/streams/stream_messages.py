@@ -21,13 +21,9 @@ def push_image(stream, number):
     stream.push_image(image(number), number / 10)
 
 
-def push_depth(stream, number):
-    stream.push_depth(depth(number), number / 10)
-
-
 def push_pair(stream, number):
     push_image(stream, number)
-    push_depth(stream, number)
+    stream.push_depth(depth(number), number / 10)
 
 
 def add_up(counts):

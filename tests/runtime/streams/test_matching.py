@@ -176,21 +176,15 @@ def test_depth_without_an_image_of_its_own_is_reused_or_unmatched(live, stamp, o
 # --- no waiting for depth that is not due --------------------------------------------------------
 
 
-def rig(played, *, until, image_period=50, depth_period=100, lost=(), depth_delay=0):
-    """Play regular sensors; the ms that each image waited."""
+def rig(played, *, until, lost=()):
+    """Play an image every 50 ms and a scan every 100 ms; the ms that each image waited."""
     waited = {}
-    events = [(stamp, IMAGE, stamp) for stamp in range(0, until, image_period)]
-    events += [
-        (stamp + depth_delay, DEPTH, stamp)
-        for stamp in range(0, until, depth_period)
-        if stamp not in lost
-    ]
-    events.sort(key=lambda event: (event[0], event[1] is IMAGE))
-    times = sorted({*(at for at, _, _ in events), *range(until + 100)})
-    for at in times:
+    for at in range(until + 100):
         found = played.advance(at)
-        for _, sensor, stamp in (event for event in events if event[0] == at):
-            found += played.push(sensor, stamp, at=at)
+        if at < until and at % 100 == 0 and at not in lost:
+            found += played.depth(at, at=at)
+        if at < until and at % 50 == 0:
+            found += played.image(at, at=at)
         waited |= {image: at - image for image, _ in found}
     return waited
 

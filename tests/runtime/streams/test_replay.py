@@ -41,11 +41,11 @@ def message(sensor, time_ms):
     return "pose", car(time_ms), time_ms * MS
 
 
-def pairs(count, *, scale=1):
+def pairs(count):
     """Messages of a camera and a LiDAR at 10 Hz, with depth maps."""
     for n in range(count):
         yield "image", image(n), n / 10
-        yield "depth", scale * depth(n), n / 10
+        yield "depth", depth(n), n / 10
 
 
 def drive(**options):
