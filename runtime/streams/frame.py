@@ -131,9 +131,8 @@ def _compensate(frame: Frame) -> CompensatedDepth:
     reasons += (POINTS_UNTIMED,) if depth.untimed else ()
     if poses is not None and times is not None:
         try:
-            moved = project_compensated(
-                calibration, points, times, poses, frame.image.time_ns, size
-            )
+            to_ns = frame.image.time_ns
+            moved = project_compensated(calibration, points, times, poses, to_ns, size)
             motion: DepthMotion = "scan" if isinstance(times, int) else "each"
             return CompensatedDepth(moved, motion, reasons, depth.lost)
         except NoPoseError as error:
