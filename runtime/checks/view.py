@@ -13,12 +13,7 @@ import cv2
 import numpy as np
 
 from runtime.base.arrays import Bools, Float32, Float64, Floats, Indices
-from runtime.contract.degraded import (
-    IMAGE_BLURRED,
-    IMAGE_CONSTANT,
-    IMAGE_DARK,
-    IMAGE_OVEREXPOSED,
-)
+from runtime.contract.degraded import IMAGE_CONSTANT, IMAGE_DOUBTS
 from runtime.engine.prediction import Prediction
 from runtime.geometry.lens import Lens, cache_key, pixels_of_rays, ray_bounds, to_image_plane
 
@@ -33,7 +28,6 @@ _LINE_RAD, _ACROSS = 0.02, 8  # how near neighbours are along a scan line; acros
 _JUMP_M, _JUMP_SHARE = 0.5, 0.05  # a neighbour is farther by this, or by this share of the range
 _STEPS = (1, 2, 3)  # neighbours on a line that are compared
 
-_DOUBTS = IMAGE_BLURRED, IMAGE_DARK, IMAGE_OVEREXPOSED
 # Changes of an image to which `View.others` returns the answer.
 UPSIDE_DOWN, LEFT_HALF = "upside_down", "left_half"
 
@@ -64,7 +58,7 @@ class Answer:
         if boundary is None:  # then depth alone is judged
             boundary = np.zeros_like(depth)
         step = shrink_factor(depth.shape)
-        doubts = tuple(each for each in _DOUBTS if each in prediction.degraded)
+        doubts = tuple(each for each in IMAGE_DOUBTS if each in prediction.degraded)
         return cls(_shrunk(boundary, step), _shrunk(log_depth(depth), step), doubts)
 
     @cached_property

@@ -26,3 +26,6 @@ DEGRADED: dict[str, str] = {
     (IMAGE_DARK := "image_dark"): "hardly any pixel is bright",
     (IMAGE_OVEREXPOSED := "image_overexposed"): "half of the pixels are saturated",
 }
+
+# Those for which an image shows little, so that nothing is judged by the answer to it alone.
+IMAGE_DOUBTS = IMAGE_BLURRED, IMAGE_DARK, IMAGE_OVEREXPOSED

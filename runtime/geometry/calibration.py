@@ -14,12 +14,7 @@ from runtime.base.arrays import Float32, Float64, UInt8
 from runtime.base.errors import InputError
 from runtime.files.read_input import read_toml
 from runtime.geometry.assumptions import assume
-from runtime.geometry.kitti_calibration import (
-    NumbersFile,
-    compose_matrices,
-    is_kitti,
-    kitti_image_size,
-)
+from runtime.geometry.kitti_calibration import NumbersFile, compose_matrices, kitti_image_size
 from runtime.geometry.lens import PLUMB_BOB, Lens, cache_key, rectifying_maps
 from runtime.geometry.projection import project_points, split_projection
 from runtime.geometry.region import region_of_images
@@ -212,7 +207,7 @@ class Calibration:
         if os.path.isdir(path):
             return cls._from_kitti_raw(path, f"{camera:02d}", rectified=rectified)
         numbers = NumbersFile(path)
-        if not is_kitti(numbers):
+        if not numbers.is_kitti:
             raise InputError(
                 f"{path} is neither TOML nor a calibration of KITTI: write a .toml file as this "
                 "one of another camera (docs/recordings.md has lines of Python that print it from "

@@ -65,12 +65,12 @@ class NumbersFile:
             )
         return finite_matrix(f"{self.path}: '{name}'", self._entries[name].split(), rows, columns)
 
-
-def is_kitti(numbers: NumbersFile) -> bool:
-    """Whether a file has a name that KITTI uses, or consists of nine numbers."""
-    with contextlib.suppress(InputError):
-        return numbers.matrix("", 3, 3).size == 9
-    return any(name in numbers for name in _NAMES)
+    @property
+    def is_kitti(self) -> bool:
+        """Whether the file has a name that KITTI uses, or consists of nine numbers."""
+        with contextlib.suppress(InputError):
+            return self.matrix("", 3, 3).size == 9
+        return any(name in self for name in _NAMES)
 
 
 def compose_matrices(
