@@ -36,10 +36,9 @@ _EDGES = (
 _GREEN = {"town": 0.1, "residential": 0.35, "avenue": 0.55, "highway": 0.85, "square": 0.45}
 
 
-def make_frontage(site: Site) -> list[Mesh]:
+def make_frontage(site: Site) -> None:
     """Make buildings, gardens and trees behind the pavement on both sides."""
     rng, plan = site.rng, site.plan
-    parts: list[Mesh] = []
     nursery, half = _Nursery(rng), plan.crossing_half
     gaps = [(c - half - 2.5, c + half + 2.5) for c in plan.crossings]
     narrow = plan.kind in ("town", "residential")
@@ -57,12 +56,12 @@ def make_frontage(site: Site) -> list[Mesh]:
                     s = blocked[0][1]
                     continue
             if rng.random() < share:
-                parts += _grove(site, s, length, sign, nursery)
+                _grove(site, s, length, sign, nursery)
             else:
-                parts += _plot(site, s, length, sign, set_backs.get(plan.kind, 0.0), nursery)
+                _plot(site, s, length, sign, set_backs.get(plan.kind, 0.0), nursery)
             s += length + (0.02 if plan.kind == "town" else rng.uniform(0.5, 5))
         for c in plan.crossings:
-            parts += _side_road(site, c, sign, nursery)
+            _side_road(site, c, sign, nursery)
     if plan.verge or plan.kind in ("square", "avenue") or rng.random() < 0.25:
         spacing = rng.uniform(8, 18)
         d = plan.kerb + (plan.verge / 2 if plan.verge else 0.9)
@@ -70,8 +69,7 @@ def make_frontage(site: Site) -> list[Mesh]:
             for s in np.arange(START_M, 220, spacing) + rng.uniform(0, 6):
                 if plan.free(s, 3) and rng.random() < 0.75:
                     tree = nursery.draw_tree(s).scaled(rng.uniform(0.6, 0.9))
-                    parts.append(site.place(tree, s, sign * d, KERB_M, site.draw_turn()))
-    return parts
+                    site.place(tree, s, sign * d, KERB_M, site.draw_turn())
 
 
 def _make_building(rng: Generator, kind: StreetKind, length: float) -> Mesh:
@@ -90,59 +88,54 @@ def _make_building(rng: Generator, kind: StreetKind, length: float) -> Mesh:
 
 def _plot(
     site: Site, s: float, length: float, sign: float, set_back: float, nursery: _Nursery
-) -> list[Mesh]:
+) -> None:
     rng, plan = site.rng, site.plan
     mesh = _make_building(rng, plan.kind, length)
     start = s if sign < 0 else s + length
     d = sign * (plan.back + set_back + (0.0 if plan.kind == "town" else rng.uniform(0, 1.5)))
-    parts = [site.place(mesh, start, d, KERB_M, facing(sign))]
+    site.place(mesh, start, d, KERB_M, facing(sign))
     if plan.kind in ("residential", "avenue") and set_back > 2.5:
-        parts += _garden_edge(site, s, length, sign)
+        _garden_edge(site, s, length, sign)
         for _ in range(rng.integers(0, 4)):
             bush, along = pick(nursery.bushes, rng), s + rng.uniform(0, length)
             d = sign * (plan.back + rng.uniform(0.8, set_back))
-            parts.append(site.place(bush, along, d, KERB_M))
-    return parts
+            site.place(bush, along, d, KERB_M)
 
 
-def _garden_edge(site: Site, s: float, length: float, sign: float) -> list[Mesh]:
+def _garden_edge(site: Site, s: float, length: float, sign: float) -> None:
     rng = site.rng
     run = length - float(rng.choice([0.0, 2.5]))
     if run < 2:
-        return []
+        return
     draw = rng.random()
     make = next((make for share, make in _EDGES if draw < share), None)
-    if make is None:
-        return []
-    # A hedge is centred, fences begin at their origin.
-    start = s + run / 2 if make is plants.make_hedge else s
-    return [site.place(make(run, rng), start, sign * (site.plan.back + 0.2), KERB_M)]
+    if make is not None:
+        # A hedge is centred, fences begin at their origin.
+        start = s + run / 2 if make is plants.make_hedge else s
+        site.place(make(run, rng), start, sign * (site.plan.back + 0.2), KERB_M)
 
 
-def _grove(site: Site, s: float, length: float, sign: float, nursery: _Nursery) -> list[Mesh]:
+def _grove(site: Site, s: float, length: float, sign: float, nursery: _Nursery) -> None:
     rng, plan = site.rng, site.plan
-    parts = []
     for _ in range(int(length / 4) + 1):
         tree = nursery.draw_tree(s).scaled(rng.uniform(0.7, 1.25))
         d = sign * (plan.back + rng.uniform(2.5, 22))
-        parts.append(site.place(tree, s + rng.uniform(0, length), d, turned=site.draw_turn()))
+        site.place(tree, s + rng.uniform(0, length), d, turned=site.draw_turn())
     for _ in range(int(length / 4)):
         bush = pick(nursery.bushes, rng).scaled(rng.uniform(0.8, 1.8))
         along, d = s + rng.uniform(0, length), sign * (plan.back + rng.uniform(1.2, 8))
-        parts.append(site.place(bush, along, d, turned=site.draw_turn()))
+        site.place(bush, along, d, turned=site.draw_turn())
     if plan.kind == "highway":
         rail = furniture.make_guard_rail(length)
         turned, start = (0.0, s) if sign > 0 else (np.pi, s + length)
-        parts.append(site.place(rail, start, sign * (plan.kerb + 0.7), turned=turned))
+        site.place(rail, start, sign * (plan.kerb + 0.7), turned=turned)
     elif rng.random() < 0.4:
-        parts += _garden_edge(site, s, length, sign)
-    return parts
+        _garden_edge(site, s, length, sign)
 
 
-def _side_road(site: Site, c: float, sign: float, nursery: _Nursery) -> list[Mesh]:
+def _side_road(site: Site, c: float, sign: float, nursery: _Nursery) -> None:
     """Make buildings or trees that close the view into a side road."""
     rng, plan = site.rng, site.plan
-    parts = []
     make = buildings.make_house if plan.kind == "residential" else buildings.make_town_house
     for edge in (-1.0, 1.0):
         d = plan.back + 16.0
@@ -153,17 +146,15 @@ def _side_road(site: Site, c: float, sign: float, nursery: _Nursery) -> list[Mes
                 # The front looks at the side road: its normal points to -edge along s.
                 start, turned = (d, np.pi / 2) if edge > 0 else (d + length, -np.pi / 2)
                 at = sign * (start if sign > 0 else 2 * d + length - start)
-                parts.append(site.place(make(rng, length), base, at, KERB_M, turned))
+                site.place(make(rng, length), base, at, KERB_M, turned)
             else:
-                parts.append(site.place(nursery.draw_tree(base), base + edge * 2, sign * (d + 4)))
+                site.place(nursery.draw_tree(base), base + edge * 2, sign * (d + 4))
             d += length
-    return parts
 
 
-def make_backdrop(site: Site) -> list[Mesh]:
+def make_backdrop(site: Site) -> None:
     """Make distant blocks and rows of trees on the horizon."""
     rng, line = site.rng, site.line
-    parts = []
     stock = [plants.make_tree(rng, leaf_count=300) for _ in range(2)]
     for _ in range(int(rng.integers(6, 26))):
         angle, reach = rng.uniform(-0.9, 0.9), rng.uniform(170, 380)
@@ -173,9 +164,8 @@ def make_backdrop(site: Site) -> list[Mesh]:
             continue
         if rng.random() < 0.35:
             block = buildings.make_office(rng, rng.uniform(15, 40))
-            parts.append(block.moved(heading=rng.uniform(0, 6.3), offset=at))
+            site.meshes.append(block.moved(heading=rng.uniform(0, 6.3), offset=at))
         else:
             for _ in range(5):
                 tree = pick(stock, rng).scaled(rng.uniform(1, 1.8))
-                parts.append(tree.moved(offset=at + rng.normal(0, 8, 3) * (1, 1, 0)))
-    return parts
+                site.meshes.append(tree.moved(offset=at + rng.normal(0, 8, 3) * (1, 1, 0)))

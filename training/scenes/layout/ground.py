@@ -4,26 +4,27 @@ import numpy as np
 from numpy.random import Generator
 
 from training.scenes.arrays import Floats
-from training.scenes.layout.site import END_M, KERB_M, START_M, Centreline, Plan, Site
+from training.scenes.layout.site import END_M, KERB_M, START_M, Plan, Site
 from training.scenes.names import SceneClass
 from training.scenes.textures.patterns import Stripe
 from training.scenes.textures.surface import SurfaceKind
-from training.scenes.things.mesh import Look, Mesh, grid
+from training.scenes.things.mesh import Look, grid
 
 Edges = list[tuple[float, float]]
 
 
-def _ribbon(line: Centreline, s: Floats, edges: Edges, look: Look, *, sign: float = 1.0) -> Mesh:
-    """Make a strip along the street through edges (d, up), from right to left; sign -1 mirrors."""
+def _lay(site: Site, s: Floats, edges: Edges, look: Look, *, sign: float = 1.0) -> None:
+    """Add a strip along the street through edges (d, up), from right to left; sign -1 mirrors."""
     d, up = np.array(edges if sign > 0 else edges[::-1]).T
     d = sign * d
-    points = line.at(s[:, None], d[None], up[None])
+    points = site.line.at(s[:, None], d[None], up[None])
     texture = np.stack(np.broadcast_arrays(s[:, None], d[None], up[None]), axis=-1)
-    return grid(points, look, texture=texture)
+    site.meshes.append(grid(points, look, texture=texture))
 
 
-def make_ground(site: Site) -> list[Mesh]:
-    rng, plan, line = site.rng, site.plan, site.line
+def make_ground(site: Site) -> None:
+    """Make carriageway, kerbs, pavements, grass and side roads."""
+    rng, plan = site.rng, site.plan
     label, tone = SceneClass.PAVEMENT, rng.uniform(0.07, 0.2)
     grey = tone, tone, tone * 1.02
     asphalt = Look(SurfaceKind.ASPHALT, grey, SceneClass.ROAD, (rng.random(),))
@@ -38,8 +39,8 @@ def make_ground(site: Site) -> list[Mesh]:
     whole = np.arange(START_M, END_M + 60, 3.0)
     wide = np.array([START_M - 20, *np.linspace(0, END_M, 40), END_M + 110])
     meadow = [(-420.0, -2.0), (-80.0, -0.25), (80.0, -0.25), (420.0, -2.0)]
-    parts = [_ribbon(line, whole, [(-k, 0.0), (k, 0.0)], asphalt)]
-    parts.append(_ribbon(line, wide, meadow, grass))
+    _lay(site, whole, [(-k, 0.0), (k, 0.0)], asphalt)
+    _lay(site, wide, meadow, grass)
     inner = k + 0.15
     strips: list[tuple[Edges, Look]]
     if plan.kind == "highway" and not plan.pavement:
@@ -54,16 +55,16 @@ def make_ground(site: Site) -> list[Mesh]:
     for a, b in plan.blocks(END_M + 60):
         s = np.linspace(a, b, max(2, int((b - a) / 3) + 1))
         for sign in (-1.0, 1.0):
-            parts += [_ribbon(line, s, edges, look, sign=sign) for edges, look in strips]
+            for edges, look in strips:
+                _lay(site, s, edges, look, sign=sign)
     for c in plan.crossings:
         walls = c - plan.crossing_half, c + plan.crossing_half
         for sign in (-1.0, 1.0):
             edges = [(float(d), 0.0) for d in np.linspace(k, 110, 12)]
-            parts.append(_ribbon(line, np.array(walls), edges, asphalt, sign=sign))
+            _lay(site, np.array(walls), edges, asphalt, sign=sign)
             for wall in walls:
                 run = np.array([wall - 0.07, wall + 0.07])
-                parts.append(_ribbon(line, run, [(k, 0.13), (60.0, 0.13)], kerb, sign=sign))
-    return parts
+                _lay(site, run, [(k, 0.13), (60.0, 0.13)], kerb, sign=sign)
 
 
 def _pair(d: float, wide: float, a: float, b: float, *dashes: float) -> list[Stripe]:

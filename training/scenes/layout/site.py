@@ -1,6 +1,6 @@
 """The site of a street: its cross-section, its centre line, and the places of things along it."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.random import Generator
@@ -125,16 +125,17 @@ def draw_centreline(rng: Generator, bend: float) -> Centreline:
 
 @dataclass(frozen=True)
 class Site:
-    """A street under construction: its random numbers, cross-section and centre line."""
+    """A street under construction: its random numbers, cross-section, centre line and meshes."""
 
     rng: Generator
     plan: Plan
     line: Centreline
+    meshes: list[Mesh] = field(default_factory=list)
 
-    def place(self, mesh: Mesh, s: float, d: float, up: float = 0.0, turned: float = 0.0) -> Mesh:
-        """Return the mesh at street coordinates, turned relative to the street [rad]."""
+    def place(self, mesh: Mesh, s: float, d: float, up: float = 0.0, turned: float = 0.0) -> None:
+        """Add a mesh at street coordinates, turned relative to the street [rad]."""
         heading = float(self.line.heading_at(s)) + turned
-        return mesh.moved(heading=heading, offset=self.line.at(s, d, up))
+        self.meshes.append(mesh.moved(heading=heading, offset=self.line.at(s, d, up)))
 
     def draw_turn(self) -> float:
         """Draw any heading [rad]."""

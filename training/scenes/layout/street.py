@@ -41,11 +41,12 @@ def build_street(seed: int, *, kind: StreetKind | None = None) -> Street:
     plan = draw_plan(rng, kind, side)
     site = Site(rng, plan, line)
     steps = (make_ground, make_frontage, make_furniture, park_cars, make_backdrop)
-    parts = [mesh for make in steps for mesh in make(site)]
+    for make in steps:
+        make(site)
     queue = rng.random() < 0.3
     ego_lane = int(rng.integers(plan.lanes))
     ego_speed = rng.uniform(2, 5) if queue else rng.uniform(6, 13)
     actors = draw_traffic(rng, plan, queue=queue, ego_lane=ego_lane, ego_speed=ego_speed)
     actors += draw_people(rng, plan)
     stripes, ego_d = tuple(draw_stripes(rng, plan)), plan.lane_centre(ego_lane)
-    return Street(line, join(*parts), tuple(actors), stripes, ego_d, ego_speed)
+    return Street(line, join(*site.meshes), tuple(actors), stripes, ego_d, ego_speed)
