@@ -108,7 +108,7 @@ def _list_selection(root: Path) -> list[SetFrame]:
     for stem, lidar, truth, matrix in zip(stems, *partners.values(), strict=True):
         source = FolderSource(images / f"{stem}.png", _rig(_read_intrinsics(matrix)), depth=lidar)
         (listed,) = source.list_frames()
-        frames.append(SetFrame(source, listed, stem, {"depth": partial(_read_truth, truth)}))
+        frames.append(SetFrame(source, listed, stem, {"depth": (truth, _read_truth)}))
     return frames
 
 

@@ -34,16 +34,20 @@ from training.datasets.scan_lines import elevation_bands, project_lines
 Lines = Literal["ordered", "bands", "none"]
 
 
+# Reads the labels in a file for an image of (height, width).
+LabelsOf = Callable[[Path, tuple[int, int]], NDArray[Any]]
+
+
 class Truth(NamedTuple):
     """The labels of a target.
 
     Attributes:
         files: the files by the names of the source's frames; a frame without a file lacks them.
-        read: reads the labels of a file for an image of (height, width).
+        read: reads the labels of a file.
     """
 
     files: Mapping[str, Path]
-    read: Callable[[Path, tuple[int, int]], NDArray[Any]]
+    read: LabelsOf
 
 
 class SetFrame(NamedTuple):
@@ -53,14 +57,14 @@ class SetFrame(NamedTuple):
         source: reads image and returns.
         listed: the frame in the list of the source.
         name: name of the set and the frame.
-        truth: what reads the labels of each target for an image of (height, width).
+        truth: file and reader of each target's labels.
         facts: further attributes of the `Sample`.
     """
 
     source: Source
     listed: ListedFrame
     name: str
-    truth: Mapping[str, Callable[[tuple[int, int]], NDArray[Any]]]
+    truth: Mapping[str, tuple[Path, LabelsOf]]
     facts: Mapping[str, Any] = {}
 
 
@@ -70,11 +74,12 @@ def pair(
     """Return frames of the set `name` with the files of their truth, by target."""
     frames = []
     for frame in listed:
-        found = {target: each for target, each in truth.items() if frame.name in each.files}
-        readers = {
-            target: partial(read, files[frame.name]) for target, (files, read) in found.items()
+        there = {
+            target: (files[frame.name], read)
+            for target, (files, read) in truth.items()
+            if frame.name in files
         }
-        frames.append(SetFrame(source, frame, f"{name}/{frame.name}", readers))
+        frames.append(SetFrame(source, frame, f"{name}/{frame.name}", there))
     return frames
 
 
@@ -123,7 +128,7 @@ class RecordedFrames(FrameList):
             frame = replace(frame, depth=Depth(returns, stamp_ns=frame.depth.stamp_ns))
         elif self._has_lidar:
             frame = replace(frame, depth=Depth(nothing_known(frame.size)))
-        truth = {target: read(frame.size) for target, read in recorded.truth.items()}
+        truth = {name: read(path, frame.size) for name, (path, read) in recorded.truth.items()}
         frame = replace(frame, poses=None, name=recorded.name)
         return Sample(frame, truth, scan_line, self._weights, self._lacking, **recorded.facts)
 

@@ -4,7 +4,7 @@ import hashlib
 import sys
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from importlib import resources
+from functools import partial
 from pathlib import Path
 
 import torch
@@ -141,18 +141,16 @@ def start_from(
     network.load_state_dict({**network.state_dict(), **taken})
     if resumed:
         return
+    say = partial(tqdm.write, file=sys.stderr)
     if fresh:
-        tqdm.write(f"{init.path}: {len(taken)} of {len(wanted)} tensors loaded", file=sys.stderr)
-        tqdm.write(f"with random weights: {', '.join(fresh)}", file=sys.stderr)
+        say(f"{init.path}: {len(taken)} of {len(wanted)} tensors loaded")
+        say(f"with random weights: {', '.join(fresh)}")
     for text in _describe_classes(network.config, source.config, origins) if known else ():
-        tqdm.write(f"{init.path}: {text}", file=sys.stderr)
+        say(f"{init.path}: {text}")
     for key in _MEANINGS:
         before, now = getattr(source.config, key, None), getattr(network.config, key, None)
         if before != now:
-            tqdm.write(
-                f"{init.path}: {key} changed from {before} to {now}; the weights have to adapt",
-                file=sys.stderr,
-            )
+            say(f"{init.path}: {key} changed from {before} to {now}; the weights have to adapt")
 
 
 def _inherit_rows(
@@ -249,4 +247,4 @@ def _meaning(network: Network, key: str) -> object:
 
 def weights_folder() -> Path:
     """Return the folder of the checkpoints in the package."""
-    return Path(str(resources.files("training"))) / "weights"
+    return Path(__file__).parent

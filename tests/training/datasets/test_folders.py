@@ -44,16 +44,9 @@ def mine(tmp_path):
 
 
 def test_everything_is_paired_by_stem(mine):
-    source = opened(
-        mine,
-        depth="depth",
-        sparse_depth="scans",
-        labels="labels",
-        depth_scale=1000,
-        intrinsics=(50, 51, 32, 16),
-        semantic_weight=0.5,
-        lacking=("rest",),
-    )
+    keys = {"depth": "depth", "sparse_depth": "scans", "labels": "labels", "depth_scale": 1000}
+    keys |= {"intrinsics": (50, 51, 32, 16), "semantic_weight": 0.5, "lacking": ("rest",)}
+    source = opened(mine, **keys)
     assert len(source) == 2
     first = source[0]
     assert first.name == "mine/a"
