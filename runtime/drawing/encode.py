@@ -24,10 +24,7 @@ _PNG_RUNS = _PNG_STORED | {
     cv2.IMWRITE_PNG_STRATEGY: cv2.IMWRITE_PNG_STRATEGY_RLE,
 }
 # For files that hold many frames: a third of the size in five times the time.
-_PNG_SMALL = {
-    cv2.IMWRITE_PNG_COMPRESSION: 1,
-    cv2.IMWRITE_PNG_FILTER: cv2.IMWRITE_PNG_FILTER_UP,
-}
+_PNG_SMALL = {cv2.IMWRITE_PNG_COMPRESSION: 1, cv2.IMWRITE_PNG_FILTER: cv2.IMWRITE_PNG_FILTER_UP}
 _PLY_TYPES = {"<f4": "float", "|u1": "uchar"}
 
 

@@ -23,9 +23,7 @@ _Picture = NDArray[Any]  # uint8 (H, W, 3), BGR
 
 
 def draw_alignment(
-    rgb: NDArray[np.uint8],
-    points: NDArray[np.float32],
-    calibrations: dict[str, Calibration],
+    rgb: NDArray[np.uint8], points: NDArray[np.float32], calibrations: dict[str, Calibration]
 ) -> _Picture:
     """Draw the returns of a scan on its image, once for each calibration.
 

@@ -25,13 +25,7 @@ from runtime.app.tools.bench_worker import OpenedModel, open_for_timing, time_mo
 from runtime.base.arguments import shown
 from runtime.command import process
 from runtime.command.machine import machine_facts
-from runtime.command.options import (
-    Provider,
-    UsageError,
-    option_group,
-    read_options,
-    with_options,
-)
+from runtime.command.options import Provider, UsageError, option_group, read_options, with_options
 from runtime.engine.cores import available_cores
 from runtime.engine.session import import_onnxruntime
 from runtime.streams.statistics import latency_statistics
@@ -89,7 +83,7 @@ app = typer.Typer(rich_markup_mode=None, pretty_exceptions_enable=False)
 
 @app.command(
     epilog="Exit codes: 0 done; 1 a model could not run, its row says why; 2 usage; "
-    "130 interrupted, after printing the results so far.",
+    "130 interrupted, after printing the results so far."
 )
 @with_options(BenchOptions)
 def main(**given: Any) -> None:

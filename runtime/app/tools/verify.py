@@ -12,13 +12,7 @@ import typer
 
 from runtime.base.arguments import shown
 from runtime.command.json_file import STDOUT, require_json, write_json
-from runtime.command.options import (
-    Provider,
-    UsageError,
-    option_group,
-    read_options,
-    with_options,
-)
+from runtime.command.options import Provider, UsageError, option_group, read_options, with_options
 from runtime.command.process import print_result, reported_errors
 from runtime.contract.agreement import figure_name
 from runtime.contract.heads import HEADS
