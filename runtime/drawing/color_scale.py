@@ -50,21 +50,23 @@ class ColorScale:
         return cv2.applyColorMap(index, self._colors)  # type: ignore[return-value]
 
     def draw_dots(
-        self,
-        picture: NDArray[np.uint8],
-        places: tuple[NDArray[np.integer], NDArray[np.integer]],
-        values: NDArray[np.float32],
-        side: int,
+        self, picture: NDArray[Any], places: NDArray[Any], values: NDArray[Any], side: int
     ) -> None:
-        """Draw values as square dots at their (x, y), low values in front."""
+        """Draw values as square dots on a picture, low values in front.
+
+        Args:
+            picture: uint8 (H, W, 3), BGR.
+            places: integers (2, N), the columns and rows of the values.
+            values: float32 (N,).
+            side: side of a dot in pixels.
+        """
         order = np.argsort(-values)
         colors = self.paint(values[order, np.newaxis])[:, 0]
         # All pixels of a dot in turn, so that a lower dot covers a higher one wholly.
-        dot = np.indices((side, side)).reshape(2, -1) - side // 2
-        columns, rows = (
-            (place[order, np.newaxis] + offset).clip(0, most - 1).ravel()
-            for place, offset, most in zip(places, dot[::-1], picture.shape[1::-1], strict=True)
-        )
+        dot = np.indices((side, side)).reshape(2, 1, -1)[::-1] - side // 2
+        columns, rows = (places[:, order, np.newaxis] + dot).reshape(2, -1)
+        height, width = picture.shape[:2]
+        rows, columns = rows.clip(0, height - 1), columns.clip(0, width - 1)
         picture[rows, columns] = np.repeat(colors, side * side, axis=0)
 
     @cached_property

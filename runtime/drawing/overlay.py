@@ -194,7 +194,7 @@ class Overlay:
         """Draw each return as a dot in the colour of its depth; the nearest are in front."""
         rows, columns = np.nonzero(returns > 0)
         painted = image.copy()
-        places, side = (columns // step, rows // step), round(min(image.shape[:2]) / _DOT_SHARE)
+        places, side = np.stack([columns, rows]) // step, round(min(image.shape[:2]) / _DOT_SHARE)
         self._depth_scale.draw_dots(painted, places, returns[rows, columns], max(1, side))
         return painted
 

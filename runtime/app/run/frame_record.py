@@ -33,6 +33,7 @@ REASONS = {
     CAMERA_SILENT: "no image for some time",
     LIDAR_SILENT: "no scan or depth map for some time",
 }
+_OF_RUN = ("age", "jitter")  # figures of a constant stream, which are not those of the answer
 _NO_IMAGE = np.zeros((0, 0, 3), np.uint8)
 
 
@@ -61,32 +62,24 @@ class FrameRecord:
 
     @classmethod
     def of(
-        cls,
-        result: FrameResult,
-        *,
-        read_ms: float,
-        age_ms: float | None = None,
-        jitter_ms: float | None = None,
-        deadline_ms: float | None = None,
+        cls, result: FrameResult, times_ms: Mapping[str, float], deadline_ms: float | None = None
     ) -> "FrameRecord":
         """Return the record of an answer.
 
         Args:
             result: the answer.
-            read_ms: time of reading and decoding the frame.
-            age_ms: time from when the frame was due to its answer; None: it was not due at a time.
-            jitter_ms: the difference from the age of the answer before; None: there is none.
+            times_ms: "read" and, if the frame was due at a time, "age" and "jitter".
             deadline_ms: limit of the latency, which is the age, or else that of the answer.
         """
-        prediction, latency_ms = result.prediction, result.latency_ms if age_ms is None else age_ms
-        times_ms = {name: figure(result) for name, figure in FIGURES.items()}
-        times_ms |= {"read": read_ms, "latency": latency_ms, "age": age_ms, "jitter": jitter_ms}
+        prediction, latency_ms = result.prediction, times_ms.get("age", result.latency_ms)
+        figures = {name: figure(result) for name, figure in FIGURES.items() if name not in _OF_RUN}
+        figures |= {**times_ms, "latency": latency_ms}
         return cls(
             name=result.name,
             reason="" if prediction.valid else ", ".join(result.predictor_reasons),
             image_stamp_ns=None if result.image_stamp is None else stamp_ns(result.image_stamp),
             result=replace(result, rgb=_NO_IMAGE, prediction=replace(prediction, heads={})),
-            times_ms={name: time_ms for name, time_ms in times_ms.items() if time_ms is not None},
+            times_ms={name: time_ms for name, time_ms in figures.items() if time_ms is not None},
             deadline_met=None if deadline_ms is None else latency_ms <= deadline_ms,
         )
 

@@ -23,6 +23,9 @@ _WORDS = {
 # Number of scans before the first one that can be found to repeat earlier ones.
 _BEFORE = {LIDAR_EMPTY: 0, LIDAR_FROZEN: 2}
 
+_Records = Sequence[FrameRecord]
+_Stamps = Mapping[Sensor, Sequence[int]]  # of all messages of a recording
+
 
 @dataclass(frozen=True)
 class Outage:
@@ -70,9 +73,7 @@ class Timeline:
     times_s: tuple[float, ...]
 
     @classmethod
-    def of(
-        cls, records: Sequence[FrameRecord], stamps_ns: Mapping[Sensor, Sequence[int]]
-    ) -> "Timeline | None":
+    def of(cls, records: _Records, stamps_ns: _Stamps) -> "Timeline | None":
         """Return the times of frames; None if they are unknown, or come from different clocks.
 
         A frame without a stamp is placed between its neighbours.
@@ -96,11 +97,7 @@ def _near(ns: int, stamps: Any) -> bool:
 
 
 def find_outages(
-    records: Sequence[FrameRecord],
-    stamps_ns: Mapping[Sensor, Sequence[int]],
-    timeline: Timeline | None,
-    *,
-    whole: bool,
+    records: _Records, stamps_ns: _Stamps, timeline: Timeline | None, *, whole: bool
 ) -> tuple[Outage, ...]:
     """Return the times in which the sensors of a run were out, in the order of their start.
 
@@ -132,9 +129,7 @@ def find_outages(
     return tuple(sorted(outages, key=lambda each: each.start_s or 0.0))
 
 
-def _in_row(
-    records: Sequence[FrameRecord], timeline: Timeline | None, reason: str
-) -> Iterator[Outage]:
+def _in_row(records: _Records, timeline: Timeline | None, reason: str) -> Iterator[Outage]:
     """Parts in which successive frames have this reason in `FrameRecord.health`."""
     numbered = [(at, each) for at, each in enumerate(records) if each.depth_source != "reused"]
     place = 0

@@ -211,17 +211,12 @@ class StreamRun:
                 name=listed.name, reason=str(error), image_stamp_ns=listed.image_stamp_ns
             )
             return skipped, None
-        age_ms = jitter_ms = None
+        times_ms = {"read": read_ms}
         if reading.due is not None:
-            age_ms = (time.perf_counter() - reading.due) * 1e3
-            jitter_ms = self._jitter.record(round(age_ms * NS_PER_MS))
-        record = FrameRecord.of(
-            result,
-            read_ms=read_ms,
-            age_ms=age_ms,
-            jitter_ms=jitter_ms,
-            deadline_ms=self._options.deadline_ms,
-        )
+            times_ms["age"] = age_ms = (time.perf_counter() - reading.due) * 1e3
+            if (jitter_ms := self._jitter.record(round(age_ms * NS_PER_MS))) is not None:
+                times_ms["jitter"] = jitter_ms
+        record = FrameRecord.of(result, times_ms, self._options.deadline_ms)
         for recorder in self._outputs.recorders:
             recorder.write(frame, result)
         if not (self._outputs.writers and result.prediction.valid):

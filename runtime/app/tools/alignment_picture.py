@@ -20,6 +20,8 @@ _BAR = 22
 _WHITE = (255, 255, 255)
 
 _Picture = NDArray[Any]  # uint8 (H, W, 3), BGR
+_Depth = NDArray[np.float32]  # (H, W), metres, 0 where there is no return
+_Box = tuple[int, int, int, int]  # left, top, right, bottom
 
 
 def draw_alignment(
@@ -62,9 +64,7 @@ def draw_alignment(
     return np.vstack([*rows, _DEPTH.draw_bar(_WIDTH, _BAR)])
 
 
-def _edges(
-    depth: NDArray[np.float32], calibration: Calibration, side: int
-) -> list[tuple[int, int]]:
+def _edges(depth: _Depth, calibration: Calibration, side: int) -> list[tuple[int, int]]:
     """Centres (x, y) of separate parts of the image with the most jumps, from left to right."""
     height, width = depth.shape
     row, column = np.nonzero(depth)
@@ -86,13 +86,7 @@ def _edges(
     return sorted(centres)
 
 
-def _part(
-    image: _Picture,
-    depth: NDArray[np.float32],
-    box: tuple[int, int, int, int],
-    width: int,
-    dot: int,
-) -> _Picture:
+def _part(image: _Picture, depth: _Depth, box: _Box, width: int, dot: int) -> _Picture:
     """A part (left, top, right, bottom) of the image at this width, with the returns in it."""
     left, top, right, bottom = box
     part, depth = image[top:bottom, left:right], depth[top:bottom, left:right]
@@ -100,6 +94,6 @@ def _part(
     way = cv2.INTER_AREA if scale < 1 else cv2.INTER_CUBIC
     picture: _Picture = cv2.resize(part, (width, round(part.shape[0] * scale)), interpolation=way)
     rows, columns = np.nonzero(depth)
-    y, x = (np.rint((each + 0.5) * scale - 0.5).astype(int) for each in (rows, columns))
-    _DEPTH.draw_dots(picture, (x, y), depth[rows, columns], dot)
+    places = np.rint((np.stack([columns, rows]) + 0.5) * scale - 0.5).astype(int)
+    _DEPTH.draw_dots(picture, places, depth[rows, columns], dot)
     return picture

@@ -33,4 +33,4 @@ def outcome(
         predictor_reasons=degraded, latency_ms=latency_ms, age_ms=latency_ms,
         **{"image_stamp": None, **others},
     )  # fmt: skip
-    return replace(FrameRecord.of(result, read_ms=0.0), deadline_met=deadline_met)
+    return replace(FrameRecord.of(result, {"read": 0.0}), deadline_met=deadline_met)
