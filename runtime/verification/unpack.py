@@ -49,15 +49,10 @@ def unpack(
             for array_name, values in arrays.items():
                 plain = np.ascontiguousarray(values, values.dtype.newbyteorder("<"))
                 np.save(folder / name / f"{array_name}.npy", plain, allow_pickle=False)
-            frames.append(
-                {
-                    "folder": name,
-                    **asdict(frame),
-                    "focal_length_px": frame.focal_length_px or predictor.focal_length_px,
-                    "network_size": predictor.network_size((height, width)),
-                    "arrays": [*arrays],
-                }
-            )
+            facts = {"folder": name, **asdict(frame), "arrays": [*arrays]}
+            facts["focal_length_px"] = frame.focal_length_px or predictor.focal_length_px
+            facts["network_size"] = predictor.network_size((height, width))
+            frames.append(facts)
         document = {
             "format": UNPACKED_FORMAT,
             "version": UNPACKED_VERSION,

@@ -90,10 +90,9 @@ class VerifyReport:
 def verify(
     predictor: Predictor,
     reference: Reference,
-    *,
     tolerances: Figures,
-    max_slowdown: float = math.inf,
-    max_latency_ms: float = math.inf,
+    max_slowdown: float,
+    max_latency_ms: float,
 ) -> VerifyReport:
     """Predict each recorded frame, and compare the answers with the recorded ones.
 
@@ -196,15 +195,10 @@ def _class_lookup(
     names, known = [info.name for info in now], [info.name for info in recorded]
     if not names or not known:
         return None
-    if set(names) != set(known):
-        parts = [
-            f"{verb} {', '.join(sorted(one))}"
-            for verb, one in (
-                ("it adds", set(names) - set(known)),
-                ("it lacks", set(known) - set(names)),
-            )
-            if one
-        ]
+    added, lacking = sorted({*names} - {*known}), sorted({*known} - {*names})
+    if added or lacking:
+        parts = [f"it adds {', '.join(added)}"] if added else []
+        parts += [f"it lacks {', '.join(lacking)}"] if lacking else []
         raise InputError(
             f"`model=` has other classes than the reference ({'; '.join(parts)}): compare models "
             "of the same classes, or score each against labels with ssdnet-eval"
@@ -252,16 +246,14 @@ def _compare_frame(
         return figures, [str(error)]
     times_ms.append(prediction.latency.total_ms)
     degraded = prediction.degraded if frame.degraded is None else frame.degraded
-    pairs = {
-        "valid": (str(prediction.valid), str(frame.valid)),
-        "degraded": (", ".join(prediction.degraded), ", ".join(degraded)),
-        "heads": (", ".join(sorted(prediction.heads)), ", ".join(sorted(limits))),
-    }
-    faults = [
-        f"{name}: {now or 'none'}, expected {then or 'none'}"
-        for name, (now, then) in pairs.items()
-        if now != then
-    ]
+    faults = []
+    for name, now, then in (
+        ("valid", str(prediction.valid), str(frame.valid)),
+        ("degraded", ", ".join(prediction.degraded), ", ".join(degraded)),
+        ("heads", ", ".join(sorted(prediction.heads)), ", ".join(sorted(limits))),
+    ):
+        if now != then:
+            faults.append(f"{name}: {now or 'none'}, expected {then or 'none'}")
     for head, expected in arrays.items():
         answer = prediction.heads.get(head)
         if answer is None:

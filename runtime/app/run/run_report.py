@@ -394,11 +394,9 @@ def describe_run(report: RunReport) -> str:
     lines += ["", report.statistics.table(), ""]
     rate, first_ms = report.frames_per_second, report.engine["first_inference_ms"]
     lines.append(f"frames a second, end to end: {'n/a' if rate is None else f'{rate:.1f}'}")
-    lines.append(
-        f"load {report.engine['load_ms']:.0f} ms, first inference "
-        + ("n/a" if first_ms is None else f"{first_ms:.1f} ms")
-        + " (not in the table)"
-    )
+    load = f"load {report.engine['load_ms']:.0f} ms"
+    first = "n/a" if first_ms is None else f"{first_ms:.1f} ms"
+    lines.append(f"{load}, first inference {first} (not in the table)")
     return "\n".join(lines)
 
 

@@ -24,14 +24,10 @@ class RunReference:
 
     def write(self, frame: Frame, result: FrameResult) -> None:
         """Record a frame and what `Predictor.predict` answered. Raises OutputError."""
-        prediction = result.prediction
-        entry = ReferenceFrame(
-            frame.name,
-            prediction.valid,
-            result.predictor_reasons,
-            prediction.latency.total_ms,
-            known_focal_length_px(self._predictor, frame.calibration),
-        )
+        prediction, reasons = result.prediction, result.predictor_reasons
+        focal_px = known_focal_length_px(self._predictor, frame.calibration)
+        time_ms = prediction.latency.total_ms
+        entry = ReferenceFrame(frame.name, prediction.valid, reasons, time_ms, focal_px)
         self._recorder.add(entry, frame.rgb, frame.fed(frame.sparse_depth), prediction.heads)
 
 

@@ -64,12 +64,8 @@ class RunContext:
         camera = camera_of(frame, self.predictor.focal_length_px)
         if camera is None or prediction.depth is None:
             return None
-        return prediction.points(
-            camera,
-            frame.rgb,
-            max_uncertainty=self.options.max_uncertainty,
-            voxel_m=self.options.cloud_voxel or voxel_m,
-        )
+        most, voxel_m = self.options.max_uncertainty, self.options.cloud_voxel or voxel_m
+        return prediction.points(camera, frame.rgb, max_uncertainty=most, voxel_m=voxel_m)
 
     def count_beyond(self, kind: str, unit: Unit, values: NDArray[Any]) -> None:
         """Count in `beyond_png` the pixels of a head that a PNG of its unit cannot hold."""
