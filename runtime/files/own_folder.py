@@ -160,10 +160,8 @@ def _require_own_folder(path: Path, *, overwrite: bool) -> None:
 
 
 def _cannot_make(path: Path, error: OSError) -> str:
-    return (
-        f"cannot make the output folder {path} ({error.strerror}: {error.filename}): choose "
-        "another `out=`"
-    )
+    reason = f"{error.strerror}: {error.filename}"
+    return f"cannot make the output folder {path} ({reason}): choose another `out=`"
 
 
 def _is_file(path: Path) -> bool:

@@ -125,7 +125,7 @@ def verify(
         limits = _limits_for(predictor.contract, recorded, reference)
     for head, given in tolerances.items():
         limits[head] = {
-            name or agreement.limited_figure(head): value for name, value in given.items()
+            name or agreement.limited_figure(head): each for name, each in given.items()
         }
     warm: set[tuple[int, ...]] = set()
     of_heads: dict[str, list[tuple[str, Mapping[str, float]]]] = {head: [] for head in limits}
@@ -138,9 +138,8 @@ def verify(
             of_heads[head].append((frame.name, each))
         for text in texts:
             of_texts.setdefault(text, []).append(frame.name)
-        failed += bool(texts) or any(
-            not agreement.within(figures[head], limits[head]) for head in figures
-        )
+        is_within = all(agreement.within(each, limits[head]) for head, each in figures.items())
+        failed += bool(texts) or not is_within
     recorded_ms = [each.predict_ms for each in reference.frames if each.predict_ms is not None]
     median_ms = statistics.median(times_ms) if times_ms else None
     slowdown = None

@@ -337,9 +337,8 @@ class RunOptions:
         if self.source is not None:
             with _usage_errors():
                 return registry.parse_source(self.source)
-        return registry.SourcePath(
-            "folders", bundled_stream()[0] if self.demo else Path(self.rgb or ""), {}
-        )
+        folder = bundled_stream()[0] if self.demo else Path(self.rgb or "")
+        return registry.SourcePath("folders", folder, {})
 
     def _choose_cameras(self, source: registry.SourcePath) -> Callable[[], dict[str, Source]]:
         names = {name for source in registry.SOURCES.values() for name in source.options}
@@ -350,9 +349,8 @@ class RunOptions:
         known = {name: value for name, value in rig_options.items() if value is not None}
         with _usage_errors():
             rig = dataclasses.replace(source.rig, **known)
-            return registry.choose_cameras(
-                source.kind, source.path, rig, **source_options, **source.keys
-            )
+            source_options |= source.keys
+            return registry.choose_cameras(source.kind, source.path, rig, **source_options)
 
     def open_predictor(self) -> Predictor:
         """Open the model, which is not warmed up."""

@@ -123,9 +123,8 @@ def find_outages(
         end = latest if whole and latest - last < _LONGEST_NS else last
         for sensor, stamps in within.items():
             for first, until in find_silences([ns for ns in stamps if ns <= end], start, end):
-                outages.append(
-                    Outage(_SILENT[sensor], (first - start) / 1e9, (until - start) / 1e9)
-                )
+                seconds = (first - start) / 1e9, (until - start) / 1e9
+                outages.append(Outage(_SILENT[sensor], *seconds))
     return tuple(sorted(outages, key=lambda each: each.start_s or 0.0))
 
 

@@ -206,11 +206,8 @@ class StreamRun:
             frame, read_ms = reading.timed.result()
             frame, result = self._answerer.answer(frame)
         except SSDNetError as error:
-            listed = reading.listed
-            skipped = FrameRecord(
-                name=listed.name, reason=str(error), image_stamp_ns=listed.image_stamp_ns
-            )
-            return skipped, None
+            name, stamp_ns = reading.listed.name, reading.listed.image_stamp_ns
+            return FrameRecord(name=name, reason=str(error), image_stamp_ns=stamp_ns), None
         times_ms = {"read": read_ms}
         if reading.due is not None:
             times_ms["age"] = age_ms = (time.perf_counter() - reading.due) * 1e3

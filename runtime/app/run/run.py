@@ -216,9 +216,7 @@ def _answered_kinds(
 ) -> tuple[str, ...]:
     """The kinds of files that the model answers. Raises InputError if it lacks a requested one."""
     heads = {**{kind: head.name for kind, head in saved_heads().items()}, CLOUD: "depth"}
-    missing = [
-        kind for kind in options.kinds if kind in heads and heads[kind] not in predictor.heads
-    ]
+    missing = [kind for kind in options.kinds if heads.get(kind) not in (None, *predictor.heads)]
     are_all = set(KINDS) <= set(options.kinds)  # "all" stands for those that the model has
     if missing and (CLOUD in missing or not are_all):
         raise InputError(

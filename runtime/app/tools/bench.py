@@ -128,9 +128,8 @@ def _measure(group: Sequence[BenchRow], options: BenchOptions) -> None:
     with contextlib.ExitStack() as stack:
         workers = []
         for row in group:
-            executor = ProcessPoolExecutor(
-                1, multiprocessing.get_context("spawn"), initializer=process.leave_signals_to_parent
-            )
+            context, deaf = multiprocessing.get_context("spawn"), process.leave_signals_to_parent
+            executor = ProcessPoolExecutor(1, context, initializer=deaf)
             workers.append((row, stack.enter_context(executor)))
             case = row.model, row.size, row.batch, row.threads, options.provider.value
             row.opened = _answer(row, executor, open_for_timing, *case)

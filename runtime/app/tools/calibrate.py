@@ -170,8 +170,5 @@ def format_static_transform(
     values = zip(("x", "y", "z"), position, strict=True)
     turns = zip(("qw", "qx", "qy", "qz"), quaternion_of(rotation), strict=True)
     numbers = " ".join(f"--{name} {value:.9g}" for name, value in (*values, *turns))
-    camera, lidar = frames
-    return (
-        f"ros2 run tf2_ros static_transform_publisher {numbers} --frame-id {camera} "
-        f"--child-frame-id {lidar}"
-    )
+    ids = "--frame-id {} --child-frame-id {}".format(*frames)
+    return f"ros2 run tf2_ros static_transform_publisher {numbers} {ids}"

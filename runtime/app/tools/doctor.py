@@ -62,10 +62,8 @@ def doctor(
             faults += check.status == "fault"
             remedy = f"\n{'':8}-> {check.remedy}" if check.remedy else ""
             print_result(f"{check.status:8}{check.name:24} {check.found}{remedy}")
-        ok = f"the engine works on {provider.value}"
-        print_result(
-            f"{faults} faulty: each says what to do, in a clone of ssdnet" if faults else ok
-        )
+        faulty = f"{faults} faulty: each says what to do, in a clone of ssdnet"
+        print_result(faulty if faults else f"the engine works on {provider.value}")
         raise typer.Exit(ERROR if faults else 0)
 
 
@@ -87,9 +85,8 @@ def examine(provider: str) -> Iterator[Check]:
     yield Check("ssdnet", "ok", _installed("ssdnet") or "not installed")
     for module, distribution in _ENGINE.items():
         yield _package(module, _pip("install", "--force-reinstall", "--no-deps", distribution))
-    install = _pip(
-        "install", "-c", "constraints.txt", f".[{'gpu' if provider == 'cuda' else 'cpu'}]"
-    )
+    extra = "gpu" if provider == "cuda" else "cpu"
+    install = _pip("install", "-c", "constraints.txt", f".[{extra}]")
     if all(map(_installed, _ORT_WHEELS)):
         fault = f"{' and '.join(_ORT_WHEELS)} own the same files and exclude each other"
         remedy = f"{_pip('uninstall', '-y', *_ORT_WHEELS)} && {install}"

@@ -83,15 +83,12 @@ class McapWriter:
         scales = {name: _SCALES[head.unit] for name, head in HEADS.items() if head.unit in _SCALES}
         for topic, facts in ((_CLASSES_TOPIC, names), (_SCALES_TOPIC, scales)):
             self._add(topic, "std_msgs/msg/String", stamp_ns, data=json.dumps(facts))
-        transforms = []
+        transforms, of_type = [], "geometry_msgs/msg/TransformStamped"
         for each in self._run.sensors.transforms:
             vector = self._make("geometry_msgs/msg/Vector3", *each.translation)
             turn = self._make("geometry_msgs/msg/Quaternion", *each.rotation)
             place = self._make("geometry_msgs/msg/Transform", vector, turn)
-            header, of_type = (
-                self._header(stamp_ns, each.parent),
-                "geometry_msgs/msg/TransformStamped",
-            )
+            header = self._header(stamp_ns, each.parent)
             transforms.append(self._make(of_type, header, each.child, place))
         if transforms:
             self._add(_STATIC_TOPIC, "tf2_msgs/msg/TFMessage", stamp_ns, transforms=transforms)

@@ -124,10 +124,8 @@ class RunPage:
             "running": running_providers(provider["running"], provider["nodes"]),
             "processor": machine_facts().processor,
         }
-        # File names need not be valid text.
-        return render_template("runtime.app.run.outputs", "page.html", values).encode(
-            errors="backslashreplace"
-        )
+        text = render_template("runtime.app.run.outputs", "page.html", values)
+        return text.encode(errors="backslashreplace")  # file names need not be valid text
 
 
 @contextlib.contextmanager
