@@ -13,7 +13,7 @@ from models.answers import head_maps
 from runtime.base.entry_points import find_entry, list_entries
 from runtime.contract.contract import NO_CLASS
 from training.loading.batch import Batch, Pair
-from training.losses import boundary, consistency, depth, distillation, semantic
+from training.losses import agreement, boundary, depth, semantic
 from training.losses.masked import cell_side, grid_of, on_grid
 
 if TYPE_CHECKING:
@@ -182,28 +182,28 @@ def _semantic_depth(c: Compared) -> Tensor:
 
 
 def _semantic_consistency(c: Compared) -> Tensor:
-    return consistency.semantic_consistency_loss(*c.views("semantic"), side=c.side)
+    return agreement.semantic_consistency_loss(*c.views("semantic"), side=c.side)
 
 
 def _distilled_semantic(c: Compared) -> Tensor:
-    return distillation.distilled_semantic_loss(c.heads["semantic"], c.taught["semantic"])
+    return agreement.distilled_semantic_loss(c.heads["semantic"], c.taught["semantic"])
 
 
 def _distilled_boundary(c: Compared) -> Tensor:
-    return distillation.distilled_boundary_loss(c.heads["boundary"], c.taught["boundary"])
+    return agreement.distilled_boundary_loss(c.heads["boundary"], c.taught["boundary"])
 
 
 def _distilled_depth(c: Compared) -> Tensor:
     scale = c.taught.get("depth_uncertainty")
-    return distillation.distilled_depth_loss(c.heads["depth"], c.taught["depth"], scale)
+    return agreement.distilled_depth_loss(c.heads["depth"], c.taught["depth"], scale)
 
 
 def _depth_consistency(c: Compared) -> Tensor:
-    return consistency.depth_consistency_loss(*c.views("depth"))
+    return agreement.depth_consistency_loss(*c.views("depth"))
 
 
 def _depth_seam(c: Compared) -> Tensor:
-    return consistency.depth_seam_loss(*c.views("depth"))
+    return agreement.depth_seam_loss(*c.views("depth"))
 
 
 class Term(NamedTuple):
@@ -259,11 +259,11 @@ TERMS: dict[str, Term] = {
         ("boundary", "boundary", "semantic", _boundary, 1.0),
         ("semantic_boundary", "semantic boundary", "semantic", _semantic_boundary, 1.0),
         ("semantic_depth", "semantic depth", "semantic", _semantic_depth, 1.0),
-        # Agreement of two shifted views of each frame, see `training.losses.consistency`.
+        # Agreement of two shifted views of each frame, see `training.losses.agreement`.
         ("depth_consistency", "depth", "", _depth_consistency, 0.0),
         ("depth_seam", "depth", "", _depth_seam, 0.0),
         ("semantic_consistency", "semantic", "", _semantic_consistency, 0.0),
-        # Agreement with the answers of a teacher, see `training.losses.distillation`.
+        # Agreement with the answers of a teacher, see `training.losses.agreement`.
         ("distilled_semantic", "semantic", "", _distilled_semantic, 0.0),
         ("distilled_depth", "depth", "", _distilled_depth, 0.0),
         ("distilled_boundary", "boundary", "", _distilled_boundary, 0.0),

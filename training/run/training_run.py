@@ -16,7 +16,7 @@ class TrainingRun:
         data: folders with the recipe's data sets.
         out: folder of the run.
         init: weights to start from; None: random weights, or those that the recipe names.
-        teacher: weights whose answers are learned, too, see `training.losses.distillation`.
+        teacher: weights whose answers are learned, too, see `training.losses.agreement`.
         device: "cpu", "cuda" or "cuda:N".
         stop_after: stop at this step, counted over all stages; the run can be resumed.
         stop: called between two steps, and between two frames of the survey and of a validation;

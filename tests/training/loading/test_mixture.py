@@ -13,7 +13,7 @@ from training.loading.batch import Batch, Drawn
 from training.loading.colors import move_histograms
 from training.loading.depth_values import DepthTarget
 from training.loading.mixture import Mixture, MixturePart
-from training.losses.consistency import semantic_consistency_loss
+from training.losses.agreement import semantic_consistency_loss
 
 
 def mix(parts, **options):

@@ -1,4 +1,8 @@
-"""Consistency of two shifted views of one frame: their answers must agree where they overlap."""
+"""Losses that need no labels: agreement of two shifted views, and with a teacher's answers.
+
+The views of one frame must agree where they overlap. A network that learns from a teacher
+(Hinton et al. 2015) sees the same inputs as the teacher has seen, and every pixel counts.
+"""
 
 import torch
 from torch import Tensor
@@ -9,6 +13,7 @@ from training.base.processes import sum_over_processes
 from training.loading.augment_config import PAIR_BORDER_PX
 from training.loading.batch import Pair
 from training.losses.depth import log_ratio
+from training.losses.masked import grid_of, masked_mean, on_grid
 
 # Weights of the depth's log ratio at pixels farther than NEAR_PX from a return, and nearer.
 FAR_WEIGHT, NEAR_WEIGHT = 1.2, 0.2
@@ -17,6 +22,8 @@ NEAR_PX = 6
 EDGE_COLUMNS = 17
 # Distance in rows over which a jump of the depth is measured.
 STEP_ROWS = 8
+# Scale of the teacher's error, as a share of its depth, at which a pixel counts half.
+HALF_CERTAIN = 0.05
 
 
 def overlap(
@@ -110,3 +117,39 @@ def _mean_over_frames(losses: list[Tensor], views: Tensor) -> Tensor:
     total = torch.stack(losses).sum() if losses else views.sum() * 0.0
     count = sum_over_processes(total.new_tensor(len(losses)))
     return sum_over_processes(total) / count.clamp(min=1)
+
+
+def distilled_semantic_loss(logits: Tensor, teacher: Tensor) -> Tensor:
+    """Kullback-Leibler divergence of the classes from the teacher's, mean over cells, ().
+
+    logits, teacher: (N, C, h, w), on different grids; compared on the grid of `logits`.
+    """
+    wanted = on_grid(teacher.softmax(dim=1), grid_of(logits))
+    divergence = F.kl_div(logits.log_softmax(dim=1), wanted, reduction="none")
+    return _mean(divergence.sum(dim=1, keepdim=True))
+
+
+def distilled_depth_loss(depth: Tensor, teacher: Tensor, scale: Tensor | None) -> Tensor:
+    """Mean |log ratio| to the teacher's depth, less where it is uncertain, ().
+
+    depth, teacher: (N, 1, H, W), normalised, at the image's size. scale: of the teacher's error,
+    see `NetworkOutput.depth_uncertainty`; None: all pixels count alike.
+    """
+    difference = log_ratio(depth, teacher).abs()
+    if scale is not None:
+        difference = difference * teacher / (teacher + scale / HALF_CERTAIN)
+    return _mean(difference)
+
+
+def distilled_boundary_loss(logits: Tensor, teacher: Tensor) -> Tensor:
+    """Mean cross-entropy of the boundary's probability with the teacher's, ().
+
+    logits, teacher: (N, 1, h, w), on different grids; compared on the grid of `logits`.
+    """
+    wanted = on_grid(torch.sigmoid(teacher), grid_of(logits))
+    return _mean(F.binary_cross_entropy_with_logits(logits, wanted, reduction="none"))
+
+
+def _mean(values: Tensor) -> Tensor:
+    """Mean over (N, 1, h, w) of all processes, ()."""
+    return masked_mean(values, torch.ones_like(values, dtype=torch.bool))
