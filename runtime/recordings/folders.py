@@ -123,8 +123,7 @@ class FolderSource(Source):
         self.depth_scale = None if self._has_scans else given.depth_scale
         paths = (rgb,) if self._depth is None else (rgb, self._depth)
         self.folders = tuple(path.parent if os.path.isfile(path) else path for path in paths)
-        timed = given.timestamps, poses, rig.reuse_depth_ms
-        self._is_timed = any(each is not None for each in timed)
+        self._is_timed = (given.timestamps, poses, rig.reuse_depth_ms) != (None, None, None)
         self.camera_alone = self.camera_alone or self._is_timed
         self._calibration_files: dict[str, Path] = {}
         if isinstance(calibration, Calibration):
@@ -153,13 +152,12 @@ class FolderSource(Source):
             for_scans=self._has_scans,
         )
         self._read_calibration, self.calibration = read, _first_readable(paths, read)
+        others = []
         for other in (0, 1, 3) if known is None and self._has_scans else ():
-            is_same = True
             with contextlib.suppress(InputError), collect_assumptions([]):  # it may be missing
-                other_calibration = _first_readable(paths, partial(read, camera=other))
-                is_same = np.allclose(other_calibration.extrinsics, self.calibration.extrinsics)
-            if not is_same:
-                assume(f"camera 2 of KITTI for {self._rgb}", "`camera=` says which")
+                others.append(_first_readable(paths, partial(read, camera=other)).extrinsics)
+        if not all(np.allclose(each, self.calibration.extrinsics) for each in others):
+            assume(f"camera 2 of KITTI for {self._rgb}", "`camera=` says which")
 
     @staticmethod
     def accepts(path: Path) -> bool:
