@@ -6,6 +6,7 @@
 import io
 from collections.abc import Iterator, Sequence
 from functools import partial
+from itertools import product
 from pathlib import Path
 from typing import Annotated, ClassVar, Literal
 
@@ -183,13 +184,10 @@ def _list_second_edition(
     """
     require_folder(root, "scenes in the Virtual KITTI 2 layout")
     variants = [variant for scene in _folders(root) for variant in _folders(scene)]
-    frames = [
-        frame
-        for variant in variants
-        for camera in cameras
-        if recipe.takes_variant(variant.parent.name, variant.name)
-        for frame in _list_camera(variant, camera, classes, recipe, scans=scans)
-    ]
+    taken = [each for each in variants if recipe.takes_variant(each.parent.name, each.name)]
+    frames: list[SetFrame] = []
+    for variant, camera in product(taken, cameras):
+        frames += _list_camera(variant, camera, classes, recipe, scans=scans)
     recipe.require_frames(frames, variants, root)
     return frames
 

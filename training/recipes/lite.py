@@ -7,7 +7,7 @@ narrower trunk; with a larger weight of depth; the depth alone, which is the rec
 
 from dataclasses import replace
 
-from models import Network, SSDNetLiteConfig
+from models import SSDNetLiteConfig
 from training.datasets.camvid import CamVidRecipe
 from training.datasets.folders import FoldersRecipe
 from training.datasets.kitti_stream import KittiStreamRecipe
@@ -20,7 +20,7 @@ from training.losses.terms import DEPTH_ALONE
 from training.run.network import ModelRecipe
 from training.run.optimizer import OptimizerRecipe, ScheduleRecipe
 from training.run.recipe import LoopRecipe, Recipe, derive
-from training.run.stages import Stage, Trained
+from training.run.stages import Stage
 from training.run.validation_recipe import ValidationRecipe
 from training.weights.prune import prune_trunk
 from training.weights.release import ReleaseRecipe, add_offsets
@@ -242,17 +242,13 @@ DEPTH = derive(
     release=ReleaseRecipe(),
 )
 
-
-def _narrow(pairs: Trained) -> Network:
-    """The blocks of the trunk lose a third of their channels, which makes it faster."""
-    return prune_trunk(pairs.after, SSDNetLiteConfig().encoder_widths, pairs.pictures)
-
-
+# The blocks of the trunk lose a third of their channels, which makes it faster.
+_WIDTHS = SSDNetLiteConfig().encoder_widths
 #: What the training frames then still found too often or too seldom (benchmarks/logit_offsets.py).
 _OFFSETS = {"sky": 0.5, "building": 0.5, "pole": 0.5, "road": -0.5, "fence": -1, "bicyclist": -1.5}
 STAGES = (
     Stage("1-crops", CROPS),
-    Stage("2-pairs", PAIRS, then=_narrow),
+    Stage("2-pairs", PAIRS, then=lambda run: prune_trunk(run.after, _WIDTHS, run.pictures)),
     Stage("3-narrow", NARROW),
     Stage("4-joint", JOINT, then=lambda run: add_offsets(run.after, _OFFSETS)),
     Stage("5-depth", DEPTH),
