@@ -193,12 +193,10 @@ class BagSensors:
                     f"a message of {topic} is of the frame {shown(frame)}, the first of "
                     f"{shown(first)}: {error}"
                 ) from error
-            body = calibration.body_from_lidar
-            self._of_frames[frame] = replace(
-                calibration,
-                extrinsics=calibration.extrinsics @ move,
-                body_from_lidar=None if body is None else body @ move,
-            )
+            body, extrinsics = calibration.body_from_lidar, calibration.extrinsics @ move
+            body = None if body is None else body @ move
+            moved = replace(calibration, extrinsics=extrinsics, body_from_lidar=body)
+            self._of_frames[frame] = moved
         return self._of_frames[frame]
 
     def require_camera(self, image: Any) -> None:

@@ -99,11 +99,9 @@ class Answerer:
         self._checks.judge(self._predict, idle=idle)
 
     def _predict(self, frame: Frame, sparse_depth: NDArray[np.float32]) -> Prediction:
+        focal_px = known_focal_length_px(self._predictor, frame.calibration)
         return self._predictor.predict(
-            frame.rgb,
-            frame.fed(sparse_depth),
-            focal_length_px=known_focal_length_px(self._predictor, frame.calibration),
-            stamp=frame.image.stamp,
+            frame.rgb, frame.fed(sparse_depth), focal_length_px=focal_px, stamp=frame.image.stamp
         )
 
 

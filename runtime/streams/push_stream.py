@@ -373,12 +373,9 @@ class PushStream:
             age_ms = (stamp_ns(self._sensor_clock()) - image.time_ns) / NS_PER_MS
         with self._changed:
             jitter_ms = self._jitter.record(now_ns - image.time_ns)
+        met = None if self._deadline_ms is None else latency_ms <= self._deadline_ms
         return replace(
-            answer,
-            latency_ms=latency_ms,
-            age_ms=age_ms,
-            jitter_ms=jitter_ms,
-            deadline_met=None if self._deadline_ms is None else latency_ms <= self._deadline_ms,
+            answer, latency_ms=latency_ms, age_ms=age_ms, jitter_ms=jitter_ms, deadline_met=met
         )
 
     def _fail(self, failure: BaseException) -> None:

@@ -2,6 +2,7 @@
 
 import contextlib
 from collections.abc import Iterable
+from functools import partial
 
 import numpy as np
 
@@ -56,7 +57,7 @@ class StreamChecks:
     ) -> None:
         self._health = FrameHealth(has_lidar=has_lidar)
         self._judge, self._poses, self._check_depth = Judge(), PoseJudge(), check_depth
-        self._depth_scale, self._focal_px = depth_scale, focal_px
+        self._view_of = partial(view_of, depth_scale=depth_scale, focal_px=focal_px)
         self._accepted = check_accepted(accept)
         self._consistency = None if consistency is None else ConsistencyCheck(consistency)
         self.judgement = Judgement()
@@ -134,13 +135,7 @@ class StreamChecks:
         return tuple(dict.fromkeys(each.reason for each in reported if each.reason))
 
     def _add(self, frame: Frame, camera_only: Prediction, predict: Predict) -> None:
-        view = view_of(
-            frame,
-            camera_only,
-            predict=predict,
-            depth_scale=self._depth_scale,
-            focal_px=self._focal_px,
-        )
+        view = self._view_of(frame, camera_only, predict=predict)
         if view is not None:
             self._judge.add(view)
             self.judgement = self._judge.judgement()

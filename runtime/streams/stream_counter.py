@@ -241,11 +241,9 @@ class StreamCounter:
     @property
     def statistics(self) -> StreamStatistics:
         """Statistics of the answers so far."""
-        return StreamStatistics(
-            stages={name: each.statistics() for name, each in self._histograms.items()},
-            deadline_ms=self._deadline_ms,
-            missed=None if self._deadline_ms is None else self._faults["late"].misses(),
-        )
+        stages = {name: each.statistics() for name, each in self._histograms.items()}
+        missed = None if self._deadline_ms is None else self._faults["late"].misses()
+        return StreamStatistics(stages, self._deadline_ms, missed)
 
     def state(self, now_ns: int) -> WatchdogState:
         """Return the present state; silence counts only in a live stream."""
