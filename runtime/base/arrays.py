@@ -1,4 +1,4 @@
-"""Arrays by the type of their elements; docstrings state shapes and units."""
+"""Arrays by the type of their elements, and sizes; docstrings state shapes and units."""
 
 from typing import Any
 
@@ -12,3 +12,5 @@ UInt8 = NDArray[np.uint8]
 Bools = NDArray[np.bool_]
 Int64 = NDArray[np.int64]
 Indices = NDArray[np.intp]
+
+Size = tuple[int, int]  # (height, width)

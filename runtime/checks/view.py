@@ -12,7 +12,7 @@ from typing import Any, Self
 import cv2
 import numpy as np
 
-from runtime.base.arrays import Bools, Float32, Float64, Floats, Indices
+from runtime.base.arrays import Bools, Float32, Float64, Floats, Indices, Size
 from runtime.contract.degraded import IMAGE_CONSTANT, IMAGE_DOUBTS
 from runtime.engine.prediction import Prediction
 from runtime.geometry.lens import Lens, cache_key, pixels_of_rays, ray_bounds, to_image_plane
@@ -108,7 +108,7 @@ class View:
     intrinsics: Float64
     extrinsics: Float64
     lens: Lens | None
-    size: tuple[int, int]
+    size: Size
     is_map: bool = False
     name: str = ""
     beside: Mapping[str, Points] = field(default_factory=dict)
@@ -172,7 +172,7 @@ def is_near(
     points: Floats,
     intrinsics: Float64,
     lens: Lens | None,
-    size: tuple[int, int],
+    size: Size,
     *,
     nearest_m: float = _NEAREST_M,
 ) -> Bools:

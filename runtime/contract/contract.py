@@ -7,6 +7,7 @@ from dataclasses import asdict, dataclass
 from typing import Any, TypeVar
 
 from runtime.base.arguments import check_integer, check_number, shown
+from runtime.base.arrays import Size
 from runtime.base.errors import ContractError
 from runtime.contract.heads import HEADS
 
@@ -84,7 +85,7 @@ class Contract:
     model_name: str
     classes: tuple[ClassInfo, ...]
     max_depth_m: float
-    native_size: tuple[int, int]
+    native_size: Size
     stride: int
     precision: str
     training: Mapping[str, Any]
@@ -171,7 +172,7 @@ def check_side(side: object, name: str) -> int:
     return check_integer(name, side, MIN_SIDE, MAX_SIDE, "pixels")
 
 
-def check_size(size: object, name: str = "size") -> tuple[int, int]:
+def check_size(size: object, name: str = "size") -> Size:
     """Return an image's (height, width); ValueError with its name if it is out of range."""
     if not isinstance(size, Sequence) or isinstance(size, str) or len(size) != 2:
         raise ValueError(f"{name} must be (height, width), got {shown(size)}")

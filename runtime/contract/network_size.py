@@ -3,12 +3,13 @@
 from typing import Any, Literal
 
 from runtime.base.arguments import shown
+from runtime.base.arrays import Size
 from runtime.base.errors import InputError
 from runtime.contract.contract import MAX_PIXELS, MAX_SIDE, MIN_SIDE, check_side, check_size
 
 # None = about the trained height, "frame" = the frame's own size, a number of rows, or (height,
 # width).
-NetworkSize = Literal["frame"] | int | tuple[int, int] | None
+NetworkSize = Literal["frame"] | int | Size | None
 
 # Frames of up to this multiple of the trained height run at their own size.
 LARGEST_RATIO = 1.25
@@ -60,9 +61,7 @@ def parse_network_size(text: str) -> NetworkSize:
         ) from error
 
 
-def network_size(
-    requested: NetworkSize, frame_size: tuple[int, int], *, trained_height: int | None
-) -> tuple[int, int]:
+def network_size(requested: NetworkSize, frame_size: Size, *, trained_height: int | None) -> Size:
     """Return the (height, width) at which a network runs for a frame.
 
     Args:
@@ -94,7 +93,7 @@ def network_size(
     return size
 
 
-def _in_range(requested: Any) -> int | tuple[int, int]:
+def _in_range(requested: Any) -> int | Size:
     """Return rows or (height, width) in plain integers; ValueError for anything else."""
     if isinstance(requested, tuple | list):
         return check_size(requested)

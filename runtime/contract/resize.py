@@ -12,10 +12,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from runtime.base.arrays import Bools, Float32, Indices
+from runtime.base.arrays import Bools, Float32, Indices, Size
 from runtime.contract.heads import ResizeRule
-
-Size = tuple[int, int]  # (height, width)
 
 # The pixel and its eight neighbours.
 _AROUND = np.ones((3, 3), np.uint8)

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from runtime.base.arguments import shown
+from runtime.base.arrays import Size
 from runtime.base.errors import InputError
 
 Feeds = Mapping[str, NDArray[Any]]
@@ -21,9 +22,7 @@ _DTYPES = {
 _NAMES = {"C": "c|.*channels?", "H": "h|rows|.*height", "W": "w|columns|.*width"}
 
 
-def make_feeds(
-    inputs: Sequence[Any], *, size: tuple[int, int], batch: int
-) -> tuple[Feeds, tuple[str, ...]]:
+def make_feeds(inputs: Sequence[Any], *, size: Size, batch: int) -> tuple[Feeds, tuple[str, ...]]:
     """Fill a session's inputs; return them, and what of `size` and `batch` no input takes.
 
     Raises InputError.

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from runtime.base.arrays import Size
 from runtime.base.errors import ContractError
 from runtime.contract.contract import Contract
 from runtime.contract.heads import HEADS
@@ -30,7 +31,7 @@ class Model:
     contract: Contract
     sha256: str
     heads: tuple[str, ...]
-    size: tuple[int, int] | None
+    size: Size | None
     free_batch: bool
 
 

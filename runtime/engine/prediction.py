@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from numpy.typing import NDArray
 
-from runtime.base.arrays import Float32, Floats, UInt8
+from runtime.base.arrays import Float32, Floats, Size, UInt8
 from runtime.base.errors import InputError
 from runtime.contract.contract import MAX_RETURN_M, Contract
 
@@ -110,8 +110,8 @@ class Prediction(HeadArrays):
     """
 
     heads: Mapping[str, NDArray[Any]]
-    frame_size: tuple[int, int]
-    network_size: tuple[int, int]
+    frame_size: Size
+    network_size: Size
     latency: Latency
     valid: bool = True
     degraded: tuple[str, ...] = ()

@@ -11,7 +11,7 @@ from typing import Any, NoReturn
 import numpy as np
 
 from runtime.base.arguments import check_integer, shown
-from runtime.base.arrays import Float32, UInt8
+from runtime.base.arrays import Float32, Size, UInt8
 from runtime.base.errors import ContractError, InferenceError, InputError
 from runtime.base.process_guard import ProcessGuard
 from runtime.contract.canonical_focal import CameraScale, camera_scale
@@ -221,7 +221,7 @@ class Predictor:
             for _, answer in sorted(answers.items())
         ]
 
-    def network_size(self, frame_size: tuple[int, int]) -> tuple[int, int]:
+    def network_size(self, frame_size: Size) -> Size:
         """Return the (height, width) at which the network runs for a frame.
 
         Args:
@@ -233,7 +233,7 @@ class Predictor:
         return network_size(self.size, frame_size, trained_height=self.contract.trained_height)
 
     def camera_scale(
-        self, frame_size: tuple[int, int], *, focal_length_px: float | None = None
+        self, frame_size: Size, *, focal_length_px: float | None = None
     ) -> CameraScale:
         """Return the depth range for a frame, and the focal length that is used.
 
@@ -258,7 +258,7 @@ class Predictor:
             network_size=self.network_size(frame_size),
         )
 
-    def warm_up(self, size: tuple[int, int], *, runs: int = 1) -> None:
+    def warm_up(self, size: Size, *, runs: int = 1) -> None:
         """Predict gray frames without returns, so that memory and caches are ready.
 
         The time of the very first prediction is kept as `first_inference_ms`.
@@ -326,7 +326,7 @@ class Predictor:
             raise InferenceError("the predictor is closed: make a new one")
         return session
 
-    def _predict_empty(self, size: tuple[int, int]) -> Prediction:
+    def _predict_empty(self, size: Size) -> Prediction:
         """Predict a gray frame without returns. Raises ContractError unless it is finite."""
         with collect_assumptions([]):  # the focal length may be of frames of another size
             prediction = self.predict(np.full((*size, 3), _GRAY, np.uint8))

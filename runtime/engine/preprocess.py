@@ -10,12 +10,12 @@ import cv2
 import numpy as np
 
 from runtime.base.arguments import array_dtype
-from runtime.base.arrays import Float32, UInt8
+from runtime.base.arrays import Float32, Size, UInt8
 from runtime.base.errors import InputError
 from runtime.contract.canonical_focal import CameraScale
 from runtime.contract.contract import MIN_SIDE, farthest_return
 from runtime.contract.degraded import NO_DEPTH, SPARSE_DEPTH_LOW
-from runtime.contract.resize import Size, move_returns, resize_image
+from runtime.contract.resize import move_returns, resize_image
 from runtime.engine.image_quality import find_doubts
 from runtime.engine.prediction import Cleaned, ms_since
 from runtime.geometry.returns import drop_saturated
@@ -138,7 +138,7 @@ def check_rgb(rgb: Any) -> UInt8:
     return np.ascontiguousarray(rgb)
 
 
-def check_sparse_depth(sparse_depth: Any, *, size: tuple[int, int]) -> Float32:
+def check_sparse_depth(sparse_depth: Any, *, size: Size) -> Float32:
     """Return `sparse_depth`, contiguous; InputError unless it is float32 (H, W) of `size`."""
     if (kind := array_dtype(sparse_depth)) != np.float32:
         hint = "use np.asarray(sparse_depth, np.float32), of a masked array its .filled(0)"

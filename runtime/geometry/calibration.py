@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 
 from runtime.base.arguments import shown
-from runtime.base.arrays import Float32, Float64, UInt8
+from runtime.base.arrays import Float32, Float64, Size, UInt8
 from runtime.base.errors import InputError
 from runtime.files.read_input import read_toml
 from runtime.geometry.assumptions import assume
@@ -55,7 +55,7 @@ class Calibration:
 
     intrinsics: Float64
     extrinsics: Float64
-    size: tuple[int, int] | None = None
+    size: Size | None = None
     body_from_lidar: Float64 | None = None
     lens: str | None = None
     distortion: Sequence[float] | None = None
@@ -115,7 +115,7 @@ class Calibration:
         maps = rectifying_maps(lens, cache_key(self.intrinsics), size)
         return cv2.remap(rgb, *maps, cv2.INTER_LINEAR)  # type: ignore[return-value]
 
-    def project(self, points: Float32, size: tuple[int, int]) -> Float32:
+    def project(self, points: Float32, size: Size) -> Float32:
         """Project a scan into the image, through the lens, see `project_points`.
 
         Args:
@@ -248,12 +248,7 @@ class Calibration:
 
     @classmethod
     def from_camera_info(
-        cls,
-        info: Mapping[str, Any],
-        extrinsics: Any,
-        *,
-        rectified: bool,
-        size: tuple[int, int] | None = None,
+        cls, info: Mapping[str, Any], extrinsics: Any, *, rectified: bool, size: Size | None = None
     ) -> "Calibration":
         """Take the fields of a ROS CameraInfo.
 

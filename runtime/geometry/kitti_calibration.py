@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from runtime.base.arrays import Float64, Floats
+from runtime.base.arrays import Float64, Floats, Size
 from runtime.base.errors import InputError
 from runtime.files.read_input import read_text
 from runtime.geometry.projection import split_projection
@@ -27,7 +27,7 @@ _SIZES = {
 _SAME_PX = 0.1
 
 
-def kitti_image_size(intrinsics: Floats) -> tuple[int, int] | None:
+def kitti_image_size(intrinsics: Floats) -> Size | None:
     """The (height, width) of KITTI's images with these intrinsics; None for any other camera."""
     numbers = intrinsics[[0, 0, 1], [0, 2, 2]]
     same = (size for known, size in _SIZES.items() if np.abs(numbers - known).max() < _SAME_PX)

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from runtime.base.arguments import shown
-from runtime.base.arrays import Float32, Float64, Floats
+from runtime.base.arrays import Float32, Float64, Floats, Size
 from runtime.base.errors import InputError
 from runtime.geometry.assumptions import assume
 
@@ -193,7 +193,7 @@ def _field(lens: Lens) -> tuple[Float64, Float64]:
 
 
 @lru_cache(maxsize=4)
-def rays(lens: Lens, intrinsics: Key, size: tuple[int, int]) -> Any:
+def rays(lens: Lens, intrinsics: Key, size: Size) -> Any:
     """Return the ray (x, y) of each pixel, float32 (height, width, 2); NaN where there is none.
 
     The array is read-only, and is kept for the next call.
@@ -207,7 +207,7 @@ def rays(lens: Lens, intrinsics: Key, size: tuple[int, int]) -> Any:
 
 
 @lru_cache(maxsize=16)
-def ray_bounds(lens: Lens, intrinsics: Key, size: tuple[int, int]) -> RayBounds:
+def ray_bounds(lens: Lens, intrinsics: Key, size: Size) -> RayBounds:
     """Return the bounds of the rays that can meet an image of this (height, width)."""
     height, width = size
     angles, _ = _field(lens)
@@ -226,7 +226,7 @@ def ray_bounds(lens: Lens, intrinsics: Key, size: tuple[int, int]) -> RayBounds:
 
 
 def pixels_of_rays(
-    x: Rays, y: Rays, lens: Lens | None, intrinsics: Floats, size: tuple[int, int]
+    x: Rays, y: Rays, lens: Lens | None, intrinsics: Floats, size: Size
 ) -> list[Rays]:
     """Return the columns and the rows at which rays meet an image; -1 where the lens sees none."""
     seen = None
@@ -239,7 +239,7 @@ def pixels_of_rays(
 
 
 @lru_cache(maxsize=4)
-def rectifying_maps(lens: Lens, intrinsics: Key, size: tuple[int, int]) -> tuple[Float32, Float32]:
+def rectifying_maps(lens: Lens, intrinsics: Key, size: Size) -> tuple[Float32, Float32]:
     """Return where each pixel of the rectified image lies in the distorted one, for `cv2.remap`.
 
     The columns and rows are float32 (height, width), -1 where nothing was seen, and are kept for

@@ -5,7 +5,7 @@ from typing import Any, Literal, NamedTuple, cast
 import numpy as np
 
 from runtime.base.arguments import shown
-from runtime.base.arrays import Bools, Float32, Float64, Indices, Int64
+from runtime.base.arrays import Bools, Float32, Float64, Indices, Int64, Size
 from runtime.base.errors import InputError
 from runtime.base.stamp import NS_PER_MS
 from runtime.geometry.assumptions import assume
@@ -136,7 +136,7 @@ def project_compensated(
     times: Int64 | int,
     poses: PoseTrack,
     to: int,
-    size: tuple[int, int],
+    size: Size,
 ) -> Float32:
     """Project a scan into an image of the time `to`, see `compensate_points` and `project_points`.
 

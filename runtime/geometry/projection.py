@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from runtime.base.arguments import check_integer, shown
-from runtime.base.arrays import Float32, Float64, Floats, Indices, Int64
+from runtime.base.arrays import Float32, Float64, Floats, Indices, Int64, Size
 from runtime.base.errors import InputError
 from runtime.contract.contract import MAX_SIDE
 from runtime.geometry.lens import Lens, cache_key, pixels_of_rays, ray_bounds
@@ -34,12 +34,7 @@ class ProjectedPoints(NamedTuple):
 
 
 def project_points(
-    points: Float32,
-    intrinsics: Floats,
-    extrinsics: Floats,
-    size: tuple[int, int],
-    *,
-    lens: Lens | None = None,
+    points: Float32, intrinsics: Floats, extrinsics: Floats, size: Size, *, lens: Lens | None = None
 ) -> Float32:
     """Project LiDAR returns into a camera as a sparse depth map.
 
@@ -66,12 +61,7 @@ def project_points(
 
 
 def project_with_rows(
-    points: Float32,
-    intrinsics: Floats,
-    extrinsics: Floats,
-    size: tuple[int, int],
-    *,
-    lens: Lens | None = None,
+    points: Float32, intrinsics: Floats, extrinsics: Floats, size: Size, *, lens: Lens | None = None
 ) -> ProjectedPoints:
     """Project like `project_points`, and return the point of each pixel; ties keep the first."""
     check_points(points)
@@ -194,7 +184,7 @@ def split_projection(projection: Float64, name: str) -> tuple[Float64, Float64]:
     return intrinsics, shift
 
 
-def _check_size(size: Any) -> tuple[int, int]:
+def _check_size(size: Any) -> Size:
     if not isinstance(size, tuple) or len(size) != 2:
         raise InputError(f"size must be (height, width), got {shown(size)}")
     height, width = (

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from runtime.base.arrays import Float64
+from runtime.base.arrays import Float64, Size
 from runtime.geometry.assumptions import assume
 
 # Largest offset of a principal point that lies in the middle, in shares of the sides.
@@ -13,8 +13,8 @@ _CENTRED = 0.05
 
 
 def region_of_images(
-    fields: Mapping[str, Any], intrinsics: Float64, size: tuple[int, int] | None = None
-) -> tuple[Float64, tuple[int, int] | None]:
+    fields: Mapping[str, Any], intrinsics: Float64, size: Size | None = None
+) -> tuple[Float64, Size | None]:
     """Return the intrinsics of the images of a CameraInfo, and their (height, width).
 
     By REP 104, the matrices, height and width of a CameraInfo describe the whole sensor. Some

@@ -15,6 +15,7 @@ from pydantic.dataclasses import dataclass
 
 from models import CLASS_TABLES
 from runtime.base.arguments import shown
+from runtime.base.arrays import Size
 from runtime.base.errors import InputError
 from runtime.contract.contract import (
     MAX_CLASSES,
@@ -23,7 +24,6 @@ from runtime.contract.contract import (
     MIN_FOCAL_PX,
     MIN_SIDE,
 )
-from runtime.contract.resize import Size
 from runtime.engine.example_inputs import make_feeds
 from runtime.files.read_input import read_toml
 from training.base.limits import STRICT, Positive, Side

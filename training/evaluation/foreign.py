@@ -12,12 +12,13 @@ import torch
 from numpy.typing import NDArray
 from tqdm import tqdm
 
+from runtime.base.arrays import Size
 from runtime.base.errors import InputError, SSDNetError
 from runtime.contract.canonical_focal import CameraScale, camera_scale
 from runtime.contract.contract import NO_CLASS
 from runtime.contract.model_file import read_onnx
 from runtime.contract.network_size import NetworkSize, check_network_size, network_size
-from runtime.contract.resize import Size, resize_nearest
+from runtime.contract.resize import resize_nearest
 from runtime.engine.inference import at_frame_size
 from runtime.engine.preprocess import NetworkInput, preprocess
 from runtime.engine.session import describe_error, open_session

@@ -9,8 +9,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from runtime.base.arrays import Size
 from runtime.contract.contract import NO_CLASS, ClassInfo
-from runtime.contract.resize import Size
 from runtime.drawing.encode import encode_jpeg
 from runtime.drawing.overlay import Overlay
 from training.datasets.class_mapping import list_classes

@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 
 from models import Network
 from models.training_facts import TrainingFacts
+from runtime.base.arrays import Size
 from runtime.base.errors import SSDNetError
 from runtime.contract.heads import HEADS
 from runtime.contract.network_size import NetworkSize
-from runtime.contract.resize import Size
 from runtime.engine.predictor import Predictor
 from training.base.processes import parse_device
 from training.datasets.class_mapping import ClassTable, trained_classes

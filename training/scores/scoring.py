@@ -10,11 +10,11 @@ from numpy.typing import NDArray
 
 from models import Network
 from models.answers import answers
+from runtime.base.arrays import Size
 from runtime.base.errors import InputError, SSDNetError
 from runtime.contract.canonical_focal import camera_scale
 from runtime.contract.contract import NO_CLASS
 from runtime.contract.heads import HEADS
-from runtime.contract.resize import Size
 from runtime.engine.inference import at_frame_size
 from runtime.engine.prediction import HeadArrays
 from runtime.engine.preprocess import preprocess
