@@ -130,13 +130,11 @@ class WatchdogLimits:
         """Return the state for these figures: name of a limit -> present value."""
         level, reasons = WatchdogLevel.OK, []
         for name, figure in figures.items():
-            warn, error = getattr(self, name)
-            if error is not None and figure >= error:
-                level = WatchdogLevel.ERROR
+            warn, error = (math.inf if each is None else each for each in getattr(self, name))
+            if figure >= min(warn, error):
                 reasons.append(name)
-            elif warn is not None and figure >= warn:
-                level = WatchdogLevel.WARN if level is WatchdogLevel.OK else level
-                reasons.append(name)
+                is_error = figure >= error or level is WatchdogLevel.ERROR
+                level = WatchdogLevel.ERROR if is_error else WatchdogLevel.WARN
         return WatchdogState(level, tuple(reasons))
 
 
