@@ -1,7 +1,6 @@
 """Joint augmentation: one random change of RGB, depth, labels and intrinsics together."""
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 from numpy.random import Generator
 
@@ -28,7 +27,7 @@ def augment(
         rare: ids of the rare classes, see `config.rare_crops`.
 
     Returns:
-        A sample of size `config.size` with a sparse depth.
+        A sample of size `config.drawn_size` with a sparse depth.
     """
     # With canonical depth, images without intrinsics count as taken by the canonical camera. Its
     # focal length is fixed, so a magnified image is an image taken closer to the scene.
@@ -51,19 +50,12 @@ def _disturb_camera(
     return sample.with_image(spoil_at_random(sample.rgb, config.camera_fault_strength, rng))
 
 
-def with_margin(config: AugmentConfig) -> AugmentConfig:
-    """Return a configuration whose crop has room for both views, see `take_views`."""
-    height, width = config.size
-    crop = (height + config.pair_shift, width + config.pair_shift)
-    return replace(config, crop=crop) if config.pair_shift else config
-
-
 def take_views(
     sample: Sample, config: AugmentConfig, rng: Generator, *, step: int
 ) -> tuple[Sample, Sample, tuple[int, int]]:
     """Return two views of `config.size` and the offset (rows, columns) [px] of the second.
 
-    The offset is a multiple of `step`. `sample` has the size of `with_margin`; the first view
+    The offset is a multiple of `step`. `sample` has the size of `config.drawn_size`; the first view
     is its upper left corner. The LiDAR input of the second view is missing or has false returns,
     and its camera is faulty, with the probabilities of `config`.
     """

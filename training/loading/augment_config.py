@@ -101,6 +101,11 @@ class AugmentConfig:
         """(height, width) of the result."""
         return self.crop or LARGEST_CROP
 
+    @property
+    def drawn_size(self) -> tuple[int, int]:
+        """(height, width) of what is drawn, which has room for both views."""
+        return self.size[0] + self.pair_shift, self.size[1] + self.pair_shift
+
 
 def with_crop(augment: AugmentConfig, smallest: tuple[int, int]) -> AugmentConfig:
     """Return the ranges with a crop: as high as the smallest frame, up to `LARGEST_CROP`.

@@ -34,21 +34,21 @@ def scale_and_crop(
     is_closer: bool = False,
     rare: Sequence[int] = (),
 ) -> Sample:
-    """Magnify by a random factor and cut a random window of `config.size`.
+    """Magnify by a random factor and cut a random window of `config.drawn_size`.
 
     Some windows are chosen for the classes `rare`, see `AugmentConfig.rare_crops`. Padding has
     the mean colour, no depth and no label. The factor scales the intrinsics; if `is_closer`, it
     divides the depth instead.
     """
     scale = float(np.exp(rng.uniform(*np.log(config.scale))))
-    height, width = config.size
+    height, width = config.drawn_size
     window = (round(height / scale), round(width / scale))  # in pixels of the sample
     chosen = rare and config.rare_crops and rng.random() < config.rare_crops
     count = config.crop_candidates if chosen else 1
     offsets = [_random_offset(sample.size, window, rng) for _ in range(count)]
     top, left = choose_crop(sample.semantic, window, offsets, rare)
     is_dense = has_dense_depth(sample)  # before cropping: a crop of dense depth may be mostly sky
-    sample = resize(cut(sample, top, left, window), config.size, is_dense=is_dense)
+    sample = resize(cut(sample, top, left, window), config.drawn_size, is_dense=is_dense)
     return scale_depth(sample, 1 / scale) if is_closer else sample
 
 

@@ -7,7 +7,7 @@ import numpy as np
 from torch.utils.data import Dataset
 
 from training.datasets.sample import ChangedSource, Sample, SampleSource
-from training.loading.augment import augment, take_views, with_margin
+from training.loading.augment import augment, take_views
 from training.loading.augment_config import AugmentConfig
 from training.loading.batch import Drawn
 from training.loading.colors import move_histograms
@@ -89,7 +89,7 @@ class Mixture(Dataset[Drawn]):
             source = self.parts[int(rng.integers(len(self.parts)))].source
             other = source[int(rng.integers(len(source)))]
             sample = sample.with_image(move_histograms(sample.rgb, other.rgb, rng.random()))
-        sample = augment(sample, with_margin(part.augment), rng, target, self.rare)
+        sample = augment(sample, part.augment, rng, target, self.rare)
         views: tuple[Sample, ...] = (sample,)
         offset = (0, 0)
         if part.augment.pair_shift:
