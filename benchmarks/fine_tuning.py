@@ -142,14 +142,13 @@ def run_team(team: Team, data: Path, out: Path, seed: int) -> None:
     item = replace(item, parts=())
     test = replace(recipe, validation=replace(recipe.validation, source=(item,)))
     test_folder = out / "test"
-    pair = score_both(test, init, checkpoint.model, [test_folder])
-    assert pair is not None
+    pairs = score_both(test, init, checkpoint.model, [test_folder])
     frame = next(iter(bundled_frames()))
     before, after = (
         torch_predict(network)(frame.rgb, frame.sparse_depth, BUNDLED_FOCAL_LENGTH_PX).depth
         for network in (init.network, checkpoint.model)
     )
-    print(f"{out.name}, seed {seed}:", *found.lines, "test:", *judge([pair], init)[1], sep="\n  ")
+    print(f"{out.name}, seed {seed}:", *found.lines, "test:", *judge(pairs, init)[1], sep="\n  ")
     print(f"  the depth is equal: {np.array_equal(before, after)}", flush=True)
 
 

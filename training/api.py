@@ -191,8 +191,7 @@ def finetune(
             if found.stopped:
                 return found
             trained = load_checkpoint(found.path).model
-            pair = score_both(scored, begin, trained, part.data, stop)
-            pairs += [] if pair is None else [pair]
+            pairs += score_both(scored, begin, trained, part.data, stop)
         return conclude(recipe, run, train_stages((Stage("", recipe),), run), pairs)
     return RunResult(run.out / LAST, stopped=True)
 

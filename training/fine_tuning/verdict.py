@@ -57,16 +57,16 @@ class FineTuned(RunResult):
 
 def score_both(
     recipe: Recipe, init: Weights, trained: Network, data: Sequence[Path], stop: Stop = never
-) -> Pair | None:
+) -> list[Pair]:
     """Score initial weights and a trained network on the validation set of a recipe.
 
-    Returns None if the network has no class of the initial weights, or no frame has its label.
-    Raises StopRequested once `stop` is True.
+    Returns one pair; none if the network has no class of the initial weights, if no frame has its
+    label, or if the recipe has no validation set. Raises StopRequested once `stop` is True.
     """
     names = [info.name for info in init.network.config.classes]
     groups = join_relatives(recipe.model.relatives, names)
-    if not groups:
-        return None
+    if not (groups and recipe.validation.source):
+        return []
     own, known = ["(new)"] * len(recipe.model.class_names), ["(left out)"] * len(names)
     titles = []
     for ids, of in groups:
@@ -83,7 +83,7 @@ def score_both(
         score_set(name, open_network(network, named_table(table)), frames, feeds)
         for name, network, table in (("before", init.network, known), ("after", trained, own))
     )
-    return Pair(before[0], after[0]) if "miou" in before[0].row.figures else None
+    return [Pair(before[0], after[0])] if "miou" in before[0].row.figures else []
 
 
 def judge(pairs: Sequence[Pair], init: Weights) -> tuple[str, list[str]]:
@@ -137,9 +137,7 @@ def conclude(
         return found
     path = found.path.with_name(TRAINED)
     trained = load_checkpoint(path if path.is_file() else found.path)
-    if not pairs:
-        pair = score_both(recipe, init, trained.model, run.data, run.stop)
-        pairs = [] if pair is None else [pair]
+    pairs = pairs or score_both(recipe, init, trained.model, run.data, run.stop)
     if not pairs:
         return FineTuned(found.path)
     verdict, lines = judge(pairs, init)
