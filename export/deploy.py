@@ -4,9 +4,9 @@ import torch
 from torch import Tensor, nn
 
 from models import Network
-from models.answers import class_ids, head_maps, to_unit, with_thin_boundary
+from models.answers import class_ids, head_maps, thinning, to_unit
 from models.blocks import upsample, upsample_nearest
-from models.network import to_class_grid
+from models.network import CLASS_STRIDE, to_class_grid
 from runtime.contract.heads import HEADS, Unit
 
 
@@ -46,7 +46,7 @@ class DeployGraph(nn.Module):
         for axis in (1, 2):  # the traced graph computes the padding of both inputs once
             torch._check(sparse_depth.shape[axis] == rgb.shape[axis])
         # Contiguous: the tracer takes a fifth longer for strides of free sides that are permuted.
-        image = rgb.permute(0, 3, 1, 2).to(torch.float32, memory_format=torch.contiguous_format)
+        image = rgb.to(torch.float32).permute(0, 3, 1, 2).contiguous()
         coarse = self.model.predict_coarse(image, sparse_depth.unsqueeze(1))
         answers = {}
         maps = head_maps(coarse)
@@ -54,8 +54,11 @@ class DeployGraph(nn.Module):
             scores, stride = to_class_grid(maps.pop("semantic"), self.model.semantic_stride)
             scores = self.model.join_rows(scores)
             # Repeat and crop class ids (1 byte), not scores (4 bytes a class).
-            ids = upsample_nearest(class_ids(scores)[:, None], stride)
-            answers["semantic"] = _crop(ids.squeeze(1), rgb)
+            ids = class_ids(scores)[:, None]
+            answers["semantic"] = _crop(upsample_nearest(ids, stride).squeeze(1), rgb)
+            step = CLASS_STRIDE // stride
+            factors = thinning(_crop(ids[..., ::step, ::step], rgb, CLASS_STRIDE))
+            factors = _crop(upsample_nearest(factors, CLASS_STRIDE).squeeze(1), rgb)
             if self.with_logits:
                 answers["semantic_logits"] = _crop(upsample_nearest(scores, stride), rgb)
 
@@ -74,22 +77,24 @@ class DeployGraph(nn.Module):
         for head in maps:
             if HEADS[head].unit is not Unit.METRES:
                 answers[head] = to_unit(head, answers[head], max_depth_m)
-        answers = with_thin_boundary(answers)
+        if {"boundary", "semantic"} <= answers.keys():
+            answers["boundary"] = answers["boundary"] * _crop(factors, rgb)
         return tuple(answers[head] for head in self.heads)
 
 
-def _crop(x: Tensor, rgb: Tensor) -> Tensor:
-    """Crop the last two axes to the size of the image (N, H, W, 3).
+def _crop(x: Tensor, rgb: Tensor, stride: int = 1) -> Tensor:
+    """Crop the last two axes, on a grid of `stride`, to the size of the image (N, H, W, 3).
 
-    With a free size the graph has one operation for it; with a fixed size it has none if there is
+    With a free size the graph has few operations for it; with a fixed size it has none if there is
     nothing to crop.
     """
-    size = rgb.shape[1:3]
+    size = [-(-side // stride) for side in rgb.shape[1:3]]
     if all(isinstance(side, int) for side in size):
         return x[..., : size[0], : size[1]]
     ends = torch.onnx.ops.symbolic(
         "Shape", [rgb], {"start": 1, "end": 3}, dtype=torch.int64, shape=[2]
     )
+    ends = (ends + stride - 1) // stride if stride > 1 else ends
     starts, axes = torch.tensor([0, 0]), torch.tensor([x.ndim - 2, x.ndim - 1])
     return torch.onnx.ops.symbolic(
         "Slice", [x, starts, ends, axes], dtype=x.dtype, shape=[*x.shape[:-2], *size]

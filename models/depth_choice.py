@@ -204,7 +204,7 @@ MAX_SCALE_REDUCTION = 0.9
 
 
 def blend_with_returns(
-    chosen: Chosen, returns: DilatedReturns, confidence: Tensor, *, max_depth_m: float
+    inverse: Tensor, returns: DilatedReturns, before: Tensor, behind: Tensor, *, max_depth_m: float
 ) -> tuple[Tensor, Tensor]:
     """Replace the predicted depth by the closest return, weighted by the confidence in it.
 
@@ -215,22 +215,22 @@ def blend_with_returns(
     the return is farther by more than a slope explains.
 
     Args:
-        chosen: the predicted depth, (N, 1, H, W).
+        inverse: inverse of the predicted depth, see `Chosen`, (N, 1, H, W).
         returns: returns around each pixel.
-        confidence: sigmoids of `HeadChannels.returns`, (N, 3, H, W).
+        before: sigmoid of the confidence in a return before the predicted depth, same shape.
+        behind: that of a return behind it.
         max_depth_m: depth [m] of the normalised depth 1.0.
 
     Returns:
-        The depth; and the scale, reduced beside a return, plus the spread of the two depths.
+        The depth; and what the spread of the two depths adds to the error's scale.
     """
-    before, behind, reduction = confidence.split(1, dim=1)
-    depth = 1.0 / chosen.inverse
+    depth = 1.0 / inverse
     measured = 1.0 / returns.inverse
     step = measured - depth
-    parallax = (chosen.inverse - returns.inverse).abs()
+    parallax = (inverse - returns.inverse).abs()
     aligned = hard_sigmoid(parallax, -1.0 / (max_depth_m * PARALLAX), 2.0)
     # It begins at a relative difference of SLOPE and is complete at twice SLOPE.
-    farther = hard_sigmoid(measured * chosen.inverse, 1.0 / SLOPE, -1.0 / SLOPE - 1.0)
+    farther = hard_sigmoid(measured * inverse, 1.0 / SLOPE, -1.0 / SLOPE - 1.0)
     weight = torch.where(step < 0, before, behind)
     weight = (
         torch.maximum(weight, aligned * torch.maximum(returns.at_pixel, farther)) * returns.mask
@@ -238,8 +238,15 @@ def blend_with_returns(
     change = weight * step
     # The mean distance of both depths from their mean is twice this: w (1 - w) |step|.
     spread = ((1.0 - weight) * change).abs()
-    scale = chosen.scale * hard_sigmoid(reduction * returns.mask, -MAX_SCALE_REDUCTION, 1.0)
-    return depth + change, scale + SPREAD_SHARE * spread.detach()
+    return depth + change, SPREAD_SHARE * spread.detach()
+
+
+def reduce_scale(scale: Tensor, reduction: Tensor, near: Tensor) -> Tensor:
+    """Return the error's scale, (N, 1, h, w), reduced where `near` is 1: beside a return.
+
+    reduction: sigmoid of that of `HeadChannels.returns`.
+    """
+    return scale * hard_sigmoid(reduction * near, -MAX_SCALE_REDUCTION, 1.0)
 
 
 def relative_scale(logits: Tensor) -> Tensor:

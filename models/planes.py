@@ -128,9 +128,13 @@ def add_residuals(plane: Tensor, moments: Tensor) -> Tensor:
         plane: inverse depth at the cells' centres, (N, 1, h, w).
         moments: the moments 1, r, c and z of the returns of each cell, (N, 4, h, w), see `_POWERS`.
     """
-    around = F.pad(plane, (1, 1, 1, 1), mode="replicate")
-    predicted = (_convolve(around, _VALUE_AND_SLOPES) * moments[:, :3]).sum(dim=1, keepdim=True)
-    count, residual = moments[:, :1], moments[:, 3:] - predicted
+    count, below, right, total = moments.split(1, dim=1)
+    rows = F.pad(plane, (0, 0, 1, 1), mode="replicate")
+    columns = F.pad(plane, (1, 1, 0, 0), mode="replicate")
+    slopes = (rows[:, :, 2:] - rows[:, :, :-2]) * below
+    slopes = slopes + (columns[..., 2:] - columns[..., :-2]) * right
+    predicted = plane * count + 0.5 * slopes
+    residual = total - predicted
     relative = residual.abs() / predicted.clamp(min=_LEAST_INVERSE)
     weight = hard_sigmoid(relative, -1.0 / MAX_RESIDUAL, 2.0)
     grids = [torch.cat([residual, count], dim=1) * weight]
@@ -138,7 +142,7 @@ def add_residuals(plane: Tensor, moments: Tensor) -> Tensor:
         grids.append(cell_means(grids[-1], 2) * 4.0)
     mean: Tensor | None = None
     for grid in reversed(grids):
-        total, weight = _convolve(grid, _TENTS, padding=1).split(1, dim=1)
+        total, weight = _tents(grid).split(1, dim=1)
         if mean is not None:
             total = total + COARSER_RESIDUAL_WEIGHT * upsample(mean)
         mean = total / (weight + COARSER_RESIDUAL_WEIGHT)
@@ -146,13 +150,9 @@ def add_residuals(plane: Tensor, moments: Tensor) -> Tensor:
     return plane + mean
 
 
-# Kernels of `add_residuals`: (3, 1, 3, 3), a map's value and its slopes down and to the right, and
-# (2, 2, 3, 3), a tent over each of two maps.
-_TENT = np.array([1.0, 2.0, 1.0])
-_VALUE_AND_SLOPES = np.zeros((3, 1, 3, 3), np.float32)
-_VALUE_AND_SLOPES[0, 0, 1, 1] = 1.0
-_VALUE_AND_SLOPES[1, 0, :, 1] = _VALUE_AND_SLOPES[2, 0, 1, :] = -0.5, 0.0, 0.5
-_TENTS = np.einsum("ab,i,j->abij", np.eye(2), _TENT, _TENT / 4).astype(np.float32)
+def _tents(x: Tensor) -> Tensor:
+    """Sum (1, 2, 1) x (1, 2, 1) / 4 of the 3 x 3 cells around each: two means of 2 x 2."""
+    return 4.0 * F.avg_pool2d(F.avg_pool2d(x, 2, 1, 1), 2, 1)
 
 
 def _per_return(moments: Tensor) -> Tensor:

@@ -13,16 +13,15 @@ the pixels around it, weighted by the network's confidence in it.
 
 In the order of execution: `surfaces.find_candidates`; after the decoders, of `models.depth_choice`,
 `start_from_returns`, `choose_surface`, `blend_with_base` and, with `surfaces.dilate_returns`,
-`blend_with_returns`.
+`blend_with_returns` and `reduce_scale`.
 """
 
 from typing import NamedTuple, TypeVar
 
 import torch
 from torch import Tensor, nn
-from torch.nn import functional as F
 
-from models.blocks import ConvBNReLU, upsample
+from models.blocks import ConvBNReLU, upsample, upsample_nearest
 from models.decoders import AddUpBlock
 from models.depth_choice import (
     HEAD_CHANNELS,
@@ -35,6 +34,7 @@ from models.depth_choice import (
     choose_surface,
     limit_correction,
     log_offset,
+    reduce_scale,
     relative_scale,
     soft_threshold,
     start_from_returns,
@@ -201,19 +201,24 @@ class SurfaceDepthHead(nn.Module):
     def _add_returns(
         self, chosen: Chosen, boundary_logits: Tensor, returns: Tensor, candidates: Candidates
     ) -> DepthMaps:
-        """Upsample to the image's size and blend with the returns; see `HeadChannels.returns`."""
-        maps = upsample(torch.cat([*chosen, boundary_logits], dim=1), factor=BASE_CELL)
-        inverse, scale, boundary_logits = maps.split(1, dim=1)
+        """Upsample to the image's size and blend with the returns; see `HeadChannels.returns`.
+
+        The scale is repeated, not upsampled, before the spread at the returns is added.
+        """
+        maps = upsample(torch.cat([chosen.inverse, boundary_logits], dim=1), factor=BASE_CELL)
+        inverse, boundary_logits = maps.split(1, dim=1)
         # One value a cell is enough: the returns give the position of an edge.
-        confidence = torch.sigmoid(returns)
-        confidence = F.interpolate(confidence, scale_factor=float(self.head_stride), mode="nearest")
-        depth, scale = blend_with_returns(
-            Chosen(inverse, scale),
+        confidence = upsample_nearest(torch.sigmoid(returns), self.head_stride // BASE_CELL)
+        before, behind, reduction = confidence.split(1, dim=1)
+        depth, spread = blend_with_returns(
+            inverse,
             dilate_returns(candidates.sparse_depth),
-            confidence,
+            upsample_nearest(before, BASE_CELL),
+            upsample_nearest(behind, BASE_CELL),
             max_depth_m=self.max_depth_m,
         )
-        return DepthMaps(depth, scale, boundary_logits)
+        scale = reduce_scale(chosen.scale, reduction, candidates.near_returns)
+        return DepthMaps(depth, upsample_nearest(scale, BASE_CELL) + spread, boundary_logits)
 
     def _geometry(
         self,

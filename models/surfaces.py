@@ -17,7 +17,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional as F
 
-from models.blocks import hard_sigmoid
+from models.blocks import hard_sigmoid, upsample_nearest
 from models.planes import BASE_CELL, CELL, PlaneFit, fit_base
 from models.pooling import (
     cell_maxima,
@@ -90,6 +90,7 @@ class Candidates(NamedTuple):
         sparse_depth: the returns without outliers.
         surfaces: the nearest surface, the farthest one, and the plane.
         inverse_base: see `PlaneFit`.
+        near_returns: see `find_near_returns`.
         base_ratios: how both surfaces differ from the base.
         features: (N, FEATURE_CHANNELS, h, w), on the grid of CELL.
         monocular_limit: greatest normalised depth that may be predicted from the image alone,
@@ -99,6 +100,7 @@ class Candidates(NamedTuple):
     sparse_depth: SparseDepth
     surfaces: Surfaces
     inverse_base: Tensor
+    near_returns: Tensor
     base_ratios: BaseRatios
     features: Tensor
     monocular_limit: Tensor
@@ -110,8 +112,8 @@ def find_candidates(depth: Tensor, mask: Tensor, *, max_depth_m: float) -> Candi
     surfaces, fit = propagate_surfaces(sparse_depth)
     count = count_returns(fit)
     features, limit = surface_features(surfaces, count), limit_monocular(surfaces, count)
-    ratios = compare_with_base(surfaces, fit)
-    return Candidates(sparse_depth, surfaces, fit.inverse_base, ratios, features, limit)
+    near, ratios = find_near_returns(fit), compare_with_base(surfaces, fit)
+    return Candidates(sparse_depth, surfaces, fit.inverse_base, near, ratios, features, limit)
 
 
 # A return is an outlier if it is within OUTLIER_M [m], at least OUTLIER_CELLS of the cells around
@@ -142,8 +144,7 @@ def remove_outliers(depth: Tensor, mask: Tensor, *, max_depth_m: float) -> Spars
         (OUTLIER_RATIO * neighbour_maxima(cells)).clamp(min=max_depth_m / OUTLIER_M),
         1.0 / MIN_DEPTH,
     )
-    limit = F.interpolate(limit, scale_factor=float(CELL), mode="nearest")
-    kept = (inverse <= limit).to(mask.dtype)
+    kept = (inverse <= upsample_nearest(limit, CELL)).to(mask.dtype)
     return SparseDepth(depth * kept, mask * kept, inverse * kept)
 
 
@@ -227,13 +228,18 @@ MAX_BASE_WEIGHT = 0.5
 
 def compare_with_base(surfaces: Surfaces, fit: PlaneFit) -> BaseRatios:
     """Compare the surfaces with the base."""
-    occupied = fit.return_count.clamp(max=1.0)
-    weight = (MAX_BASE_WEIGHT / 2) * (window_maxima(occupied, 3) + window_maxima(occupied, 5))
+    near = find_near_returns(fit)
+    weight = (MAX_BASE_WEIGHT / 2) * (near + window_maxima(near, 3))
     maps = cell_means(torch.cat([fit.inverse_base, weight], dim=1), CELL // BASE_CELL)
     inverse_base, weight = maps.split(1, dim=1)
     nearest = torch.log(surfaces.nearest * inverse_base).clamp(-MAX_LOG_RATIO, 0.0)
     farthest = torch.log(surfaces.farthest * inverse_base).clamp(0.0, MAX_LOG_RATIO)
     return BaseRatios(nearest * surfaces.support, farthest * surfaces.support, weight)
+
+
+def find_near_returns(fit: PlaneFit) -> Tensor:
+    """Return 1 for cells of BASE_CELL pixels within RETURN_RADIUS of a return, (N, 1, h, w)."""
+    return window_maxima(fit.return_count.clamp(max=1.0), 1 + 2 * (RETURN_RADIUS // BASE_CELL))
 
 
 def zero_if_same_surface(log_ratio: Tensor) -> Tensor:

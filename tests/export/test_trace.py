@@ -138,7 +138,7 @@ def count_pads_and_cuts(graph):
 
 
 def test_a_fixed_size_that_fits_the_stride_needs_no_pad_and_no_cut(lite_model):
-    assert count_pads_and_cuts(lite_model.graph) == (2, 0)  # of the surfaces, none of the image
+    assert count_pads_and_cuts(lite_model.graph) == (5, 0)  # of the surfaces, none of the image
 
 
 def test_another_fixed_size_is_padded_and_cut():

@@ -23,17 +23,20 @@ from models.depth_choice import (
     choose_surface,
     limit_correction,
     log_offset,
+    reduce_scale,
     soft_threshold,
     start_from_returns,
     stretched_sigmoid,
 )
 from models.planes import BASE_CELL, CELL
+from models.pooling import cell_maxima
 from models.surfaces import (
     MAX_BASE_WEIGHT,
     SAME_SURFACE,
     Surfaces,
     compare_with_base,
     dilate_returns,
+    find_near_returns,
     propagate_surfaces,
     zero_if_same_surface,
 )
@@ -226,12 +229,11 @@ def test_the_choice_keeps_its_weight_beside_returns_and_all_of_it_farther():
     assert (blend(2.0, fit.inverse_base, weight=0.0).inverse == 2.0).all()
 
 
-def taken_of(before, behind, depth=0.5, reduction=0.0, returns=None, range_m=RANGE_M):
-    """Return the depth and the scale, which was 0.04, after returns were taken."""
-    confidence = torch.tensor([before, behind, reduction]).view(1, 3, 1, 1).expand(1, 3, *SIZE)
-    chosen = Chosen(*(torch.full((1, 1, *SIZE), value) for value in (1 / depth, 0.04)))
+def taken_of(before, behind, depth=0.5, returns=None, range_m=RANGE_M):
+    """Return the depth after returns were taken, and what the spread adds to the scale."""
+    inverse, *confidence = (torch.full((1, 1, *SIZE), x) for x in (1 / depth, before, behind))
     returns = dilate_returns(returns_at(returns or {}))
-    found = blend_with_returns(chosen, returns, confidence, max_depth_m=range_m)
+    found = blend_with_returns(inverse, returns, *confidence, max_depth_m=range_m)
     return found[0][0, 0], found[1][0, 0]
 
 
@@ -241,15 +243,28 @@ def test_a_return_is_taken_by_its_confidence_beside_it_and_nowhere_else(returned
     """Returns before and behind the predicted depth have a channel of confidence each."""
     confidence = [0.0, 0.0]
     confidence[channel] = share
-    depth, scale = taken_of(*confidence, reduction=0.4, returns={(40, 40): returned})
+    depth, spread = taken_of(*confidence, returns={(40, 40): returned})
     square = np.s_[38:43, 38:43]
     assert torch.allclose(depth[square], torch.tensor(0.5 + share * (returned - 0.5)))
-    spread = share * (1 - share) * abs(returned - 0.5)
-    reduced = 0.04 * (1 - 0.4 * MAX_SCALE_REDUCTION)
-    assert torch.allclose(scale[square], torch.tensor(reduced + SPREAD_SHARE * spread))
-    depth[square], scale[square] = 0.5, 0.04
+    expected = torch.tensor(SPREAD_SHARE * share * (1 - share) * abs(returned - 0.5))
+    assert torch.allclose(spread[square], expected, atol=1e-6)
+    depth[square], spread[square] = 0.5, 0.0
     assert (depth == 0.5).all()
-    assert (scale == 0.04).all()
+    assert not spread.any()
+
+
+def test_the_scale_is_reduced_beside_a_return_alone():
+    near = torch.tensor([1.0, 0.0]).view(1, 1, 1, 2)
+    reduced = reduce_scale(torch.full_like(near, 0.04), torch.full_like(near, 0.4), near)
+    expected = 0.04 * torch.tensor([1 - 0.4 * MAX_SCALE_REDUCTION, 1.0])
+    assert torch.allclose(reduced.flatten(), expected)
+
+
+@pytest.mark.parametrize("pixel", [(40, 40), (41, 40), (41, 41)])
+def test_the_cells_near_a_return_are_those_with_a_pixel_that_it_reaches(pixel):
+    _, fit = propagate_surfaces(returns_at({pixel: 0.3}))
+    reached = dilate_returns(returns_at({pixel: 0.3})).mask
+    assert torch.equal(find_near_returns(fit), cell_maxima(reached, BASE_CELL))
 
 
 @pytest.mark.parametrize(
@@ -285,6 +300,6 @@ def test_beside_a_return_one_behind_without_parallax_is_taken(depth, step, range
 
 
 def test_without_returns_nothing_is_taken():
-    depth, scale = taken_of(1.0, 1.0, reduction=1.0)
+    depth, spread = taken_of(1.0, 1.0)
     assert (depth == 0.5).all()
-    assert (scale == 0.04).all()
+    assert not spread.any()
