@@ -23,17 +23,16 @@ from export.errors import ExportError
 from export.gate import find_missed, list_not_gated, require_truth
 from export.options import ExportOptions
 from export.precision import ENOUGH_FRAMES
-from export.quantize import Feed, Ranges, measure_ranges, quantize, strides
+from export.quantize import Feed, measure_ranges, quantize, strides
 from export.trunk import trunk
 from runtime.contract.heads import HEADS, Unit
 from runtime.engine.session import open_session
 
 # Number of frames on which the effect of each convolution is measured.
 _SENSITIVITY_FRAMES = 4
-# Convolutions that read or write a grid of this stride or less stay in float. They have few
-# channels on many pixels, where converting to 8 bits takes longer than 8 bits save, and they see
-# the finest detail.
-_FINE_STRIDE = 2
+# Convolutions on finer grids stay in float, on this grid all but the dense ones of 3 x 3: there,
+# converting to 8 bits takes longer than 8 bits save. docs/performance.md has the times.
+_FINEST_STRIDE = 4
 
 
 @dataclass(frozen=True)
@@ -62,9 +61,9 @@ def quantize_within(
 ) -> Quantized:
     """Quantise a graph; convolutions that cost too much accuracy stay in single precision.
 
-    Convolutions on the finest grids stay in float, see _FINE_STRIDE, and those that read or write
-    what is many times larger on a few frames than on most, see `Ranges`. While the gate is missed,
-    further convolutions stay in float, see `_Search`.
+    Convolutions for which 8 bits save no time stay in float, see `_gains`, and those that read or
+    write what is many times larger on a few frames than on most, see `Ranges`. While the gate is
+    missed, further convolutions stay in float, see `_Search`.
 
     Args:
         model: a traced graph.
@@ -154,7 +153,15 @@ class _Search:
         self.ranges = measure_ranges(model, feeds)
         self._model, self._feeds = model, feeds
         self._convolutions = [n.name for n in nodes]
-        self._always = _always_in_float(nodes, strides(model, feeds[0]), self.ranges)
+        shapes = {weight.name: weight.dims for weight in model.graph.initializer}
+        grids = strides(model, feeds[0])
+        self._always = [
+            node.name
+            for node in nodes
+            for tensors in [{node.input[0], node.output[0]}]
+            if self.ranges.uneven & tensors
+            or not _gains(min(grids[name] for name in tensors), shapes[node.input[1]])
+        ]
         self._ranked: dict[str, list[str]] = {}
         self.in_float = self._always
 
@@ -182,16 +189,12 @@ class _Search:
         self.in_float = [*self.in_float, *others[: max(1, added // 2)]]
 
 
-def _always_in_float(
-    nodes: Sequence[onnx.NodeProto], stride: Mapping[str, int], ranges: Ranges
-) -> list[str]:
-    """Return the convolutions on the finest grids, and those of tensors with uneven ranges."""
-    return [
-        node.name
-        for node in nodes
-        for read, written in [(node.input[0], node.output[0])]
-        if min(stride[read], stride[written]) <= _FINE_STRIDE or ranges.uneven & {read, written}
-    ]
+def _gains(stride: int, shape: Sequence[int]) -> bool:
+    """Whether 8 bits save time, by a convolution's finer grid and the shape of its weights.
+
+    On the grid of _FINEST_STRIDE they do for dense convolutions of 3 x 3 alone.
+    """
+    return stride > _FINEST_STRIDE or (stride == _FINEST_STRIDE and shape[1] > 1 and shape[2] == 3)
 
 
 def rank_convolutions(

@@ -3,13 +3,15 @@
 import tempfile
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import onnx
 from numpy.typing import NDArray
-from onnxruntime.quantization import CalibrationDataReader, CalibrationMethod, QuantType
+from onnxruntime.quantization import CalibrationMethod, QuantType
 from onnxruntime.quantization.calibrate import TensorsData, create_calibrator
 from onnxruntime.quantization.qdq_quantizer import QDQQuantizer
 
@@ -50,21 +52,16 @@ def measure_ranges(model: onnx.ModelProto, feeds: Sequence[Feed]) -> Ranges:
             path, types, augmented_model_path=str(Path(folder) / "augmented.onnx")
         )
         for feed in feeds:
-            calibrator.collect_data(_Reader([feed]))
+            calibrator.collect_data(SimpleNamespace(get_next=partial(next, iter([feed]), None)))
             for name, tensor in calibrator.compute_data().items():
                 low, high = (np.ravel(edge)[0] for edge in tensor.range_value)
                 frames.setdefault(name, []).append((float(low), float(high)))
             calibrator.calibrate_tensors_range = None  # or the next frame's would be merged into it
     ranges = {name: np.array(found, np.float32) for name, found in frames.items()}
     data = {name: (found[:, 0].min(), found[:, 1].max()) for name, found in ranges.items()}
-    return Ranges(
-        TensorsData(CalibrationMethod.MinMax, data),
-        frozenset(name for name, found in ranges.items() if _is_uneven(np.abs(found).max(axis=1))),
-    )
-
-
-def _is_uneven(magnitudes: NDArray[np.float32]) -> bool:
-    return bool(magnitudes.max() > _MOST_UNEVEN * np.median(magnitudes))
+    largest = {name: np.abs(found).max(axis=1) for name, found in ranges.items()}
+    uneven = {name for name, each in largest.items() if each.max() > _MOST_UNEVEN * np.median(each)}
+    return Ranges(TensorsData(CalibrationMethod.MinMax, data), frozenset(uneven))
 
 
 def quantize(
@@ -120,11 +117,3 @@ def strides(model: onnx.ModelProto, feed: Feed) -> dict[str, int]:
     width = feed["rgb"].shape[2]
     shapes = zip(names, session.run(None, feed), strict=True)
     return {name: round(width / int(shape[-1])) for name, shape in shapes}
-
-
-class _Reader(CalibrationDataReader):  # type: ignore[misc]  # ONNX Runtime has no types
-    def __init__(self, feeds: Sequence[Feed]) -> None:
-        self._feeds = iter(feeds)
-
-    def get_next(self) -> Feed | None:
-        return next(self._feeds, None)
