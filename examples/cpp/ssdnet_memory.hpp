@@ -10,6 +10,7 @@
 #include <cstddef>
 #include <cstdint>
 #include <deque>
+#include <iterator>
 #include <limits>
 #include <optional>
 #include <string>
@@ -51,23 +52,23 @@ class ScanMemory {
       if (way(scan.pose, pose) >= kLeastWay) used.push_back(&scan);
     const bool is_far = used.size() == scans_.size();
     if (!used.empty() && !(!off.empty() && stamp_ns < off_until_ns_)) remember(used, camera, pose, stamp_ns);
-    if (is_marked_ && !scans_.empty()) {
-      auto& points = scans_.back().points;
-      points.erase(std::remove_if(points.begin(), points.end(), [](const Point& each) { return each.moves; }), points.end());
-    }
-    is_marked_ = false;
+    last_ = unproject(camera, pose, stamp_ns);
+    traffic_.points.clear();
     if (is_far) {
-      scans_.push_back(unproject(camera, pose, stamp_ns));
+      scans_.push_back(last_);
       if (scans_.size() > kScans) scans_.pop_front();
     }
     return returns_;
   }
 
-  // Use returns of the last frame for the next one alone where its answer shows what may move (0 = stands still).
+  // Forget returns of the last frame where its answer shows what may move (0 = stands still), and add none there.
   void answered(const std::vector<std::uint8_t>& may_move) {
-    if (scans_.empty() || !last_ns_ || scans_.back().stamp_ns != *last_ns_) return;
-    for (Point& point : scans_.back().points) point.moves = may_move[point.pixel] != 0;
-    is_marked_ = true;
+    const auto moves = [&](const Point& each) { return may_move[each.pixel] != 0; };
+    traffic_ = {{}, last_.pose, last_.stamp_ns};
+    std::copy_if(last_.points.begin(), last_.points.end(), std::back_inserter(traffic_.points), moves);
+    if (scans_.empty() || scans_.back().stamp_ns != last_.stamp_ns) return;
+    auto& points = scans_.back().points;
+    points.erase(std::remove_if(points.begin(), points.end(), moves), points.end());
   }
 
   void clear() {
@@ -76,14 +77,14 @@ class ScanMemory {
     off.clear();
     apart_.clear();
     rejected_.clear();
-    is_marked_ = false;
+    last_.points.clear();
+    traffic_.points.clear();
   }
 
  private:
   struct Point {
     float x, y, z;  // metres, in the frame of its camera
     std::size_t pixel;
-    bool moves;
   };
   struct Scan {
     std::vector<Point> points;
@@ -95,9 +96,10 @@ class ScanMemory {
     float depth;
   };
   static constexpr double kLeastWay = 0.3, kMostGaps = 4.0, kMostApart = 0.01, kMostRejected = 0.5;
-  static constexpr std::size_t kScans = 10, kPoints = 20000, kLeastBeside = 20, kLeastFrames = 3, kFrames = 5;
-  static constexpr float kTolerance = 1.03f, kHidingShare = 0.9f;
-  static constexpr int kCell = 4, kLineRows = 1, kHiding = 2;
+  static constexpr std::size_t kScans = 10, kPoints = 10000, kLeastBeside = 20, kLeastFrames = 3, kFrames = 5;
+  static constexpr float kTolerance = 1.03f, kEdgeShare = 0.9f, kTrafficColumns = 1 / 45.0f;
+  static constexpr std::array<double, 3> kNearer{0, 0.75, 1.5};
+  static constexpr int kCell = 4, kLineRows = 1, kEdge = 2;
   static constexpr std::int64_t kPause = 5000000000;
 
   static double way(const Pose& a, const Pose& b) { return std::hypot(a[3] - b[3], a[7] - b[7], a[11] - b[11]); }
@@ -130,13 +132,13 @@ class ScanMemory {
       const auto column = static_cast<double>(measured[i] % static_cast<std::size_t>(camera.width));
       const float depth = present_[measured[i]];
       scan.points.push_back({static_cast<float>((column - camera.cx) / camera.fx * depth),
-                             static_cast<float>((row - camera.cy) / camera.fy * depth), depth, measured[i], false});
+                             static_cast<float>((row - camera.cy) / camera.fy * depth), depth, measured[i]});
     }
     return scan;
   }
 
-  // The points of a scan that fall into the image.
-  static void project(const Scan& scan, const Camera& camera, const Pose& to, std::vector<Seen>& seen) {
+  // The points of a scan that fall into the image if they have come nearer by so many metres.
+  static void project(const Scan& scan, const Camera& camera, const Pose& to, std::vector<Seen>& seen, double nearer = 0) {
     double move[12];  // from the scan's camera to the present one, the positions subtracted first
     for (int row = 0; row < 3; ++row)
       for (int column = 0; column < 4; ++column) {
@@ -145,6 +147,7 @@ class ScanMemory {
           sum += to[4 * i + row] * (column < 3 ? scan.pose[4 * i + column] : scan.pose[4 * i + 3] - to[4 * i + 3]);
         move[4 * row + column] = sum;
       }
+    move[11] -= nearer;
     float matrix[12];
     for (int column = 0; column < 4; ++column) {
       matrix[column] = static_cast<float>(camera.fx * move[column] + camera.cx * move[8 + column]);
@@ -165,12 +168,13 @@ class ScanMemory {
     std::vector<Seen> seen, allowed;
     for (const Scan* scan : used) project(*scan, camera, pose, seen);
     find_lines(camera);
+    find_traffic(camera, pose);
     std::vector<float> apart;
     std::size_t bounded = 0;
     for (const Seen& each : seen) {
       if (const float own = present_[each.pixel]; own > 0)
         apart.push_back(std::abs(std::log(each.depth / own)));
-      else if (const int fits = bounds(each, camera); fits >= 0) {
+      else if (const int fits = is_traffic_[each.pixel] ? -1 : bounds(each, camera); fits >= 0) {
         ++bounded;
         if (fits) allowed.push_back(each);
       }
@@ -180,16 +184,35 @@ class ScanMemory {
     std::vector<float> nearest(present_.size());
     for (std::size_t i = 0; i < nearest.size(); ++i) nearest[i] = present_[i] > 0 ? present_[i] : INFINITY;
     for (const Seen& each : allowed) nearest[each.pixel] = std::min(nearest[each.pixel], each.depth);
-    const auto width = static_cast<std::size_t>(camera.width);
-    const int hiding = std::min(std::max(static_cast<int>(std::nearbyint(gap_ / 2)), 2), 8);
-    for (const Seen& each : allowed) {  // not behind what lies beside it
-      const int row = static_cast<int>(each.pixel / width), column = static_cast<int>(each.pixel % width);
-      float around = INFINITY;
-      for (int r = std::max(0, row - hiding); r <= std::min(camera.height - 1, row + hiding); ++r)
-        for (int c = std::max(0, column - kHiding); c <= std::min(camera.width - 1, column + kHiding); ++c)
-          around = std::min(around, nearest[static_cast<std::size_t>(r) * width + static_cast<std::size_t>(c)]);
-      if (!(around < kHidingShare * nearest[each.pixel])) returns_[each.pixel] = nearest[each.pixel];
+    const int rows = std::min(std::max(static_cast<int>(std::nearbyint(gap_ / 2)), 2), 8);
+    for (const Seen& each : allowed) {  // not at an edge
+      const float depth = nearest[each.pixel];
+      bool is_edge = false;
+      around(each.pixel, rows, kEdge, camera, [&](std::size_t at) {
+        is_edge |= nearest[at] < kEdgeShare * depth || (nearest[at] < INFINITY && kEdgeShare * nearest[at] > depth);
+      });
+      if (!is_edge) returns_[each.pixel] = depth;
     }
+  }
+
+  // Call a function with each pixel of a window with so many rows and columns on each side of its middle.
+  template <typename Function>
+  static void around(std::size_t pixel, int rows, int columns, const Camera& camera, Function function) {
+    const auto width = static_cast<std::size_t>(camera.width);
+    const int row = static_cast<int>(pixel / width), column = static_cast<int>(pixel % width);
+    for (int r = std::max(0, row - rows); r <= std::min(camera.height - 1, row + rows); ++r)
+      for (int c = std::max(0, column - columns); c <= std::min(camera.width - 1, column + columns); ++c)
+        function(static_cast<std::size_t>(r) * width + static_cast<std::size_t>(c));
+  }
+
+  // The pixels where traffic of the last frame is or may have come since.
+  void find_traffic(const Camera& camera, const Pose& pose) {
+    is_traffic_.assign(present_.size(), false);
+    std::vector<Seen> seen;
+    for (const double nearer : kNearer) project(traffic_, camera, pose, seen, nearer);
+    const int rows = static_cast<int>(std::nearbyint(gap_)), columns = static_cast<int>(std::nearbyint(kTrafficColumns * camera.fx));
+    for (const Seen& each : seen)
+      around(each.pixel, rows, columns, camera, [&](std::size_t at) { is_traffic_[at] = true; });
   }
 
   // Whether the figures allow the memory to be used, see `_Guard` in Python.
@@ -276,7 +299,8 @@ class ScanMemory {
   std::optional<std::int64_t> last_ns_;
   double gap_ = 1;
   std::deque<float> apart_, rejected_;
-  bool is_marked_ = false;
+  Scan last_{}, traffic_{};  // the returns of the last frame, and those where its answer shows what may move
+  std::vector<bool> is_traffic_;
   std::vector<float> present_, returns_, nearest_, farthest_;
   std::vector<int> above_, below_;
   int cells_ = 0;

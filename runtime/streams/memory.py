@@ -1,8 +1,8 @@
 """Earlier returns, moved by poses into the present frame, where the present scan allows them.
 
-An earlier return is used where its depth lies between those of the present returns around it. A car
-that drove on thus leaves no trail, what is hidden now does not shine through, and nothing is added
-where the present scan measures nothing.
+An earlier return is used where its depth lies between those of the present returns around it, but
+not at edges of the depth and not near traffic. A car that drove on thus leaves no trail, what is
+hidden now does not shine through, and nothing is added where the present scan measures nothing.
 """
 
 from collections import deque
@@ -29,14 +29,18 @@ DEFAULT_MEMORY_S = 2.0
 # A scan is remembered if the camera moved this far since the last one, and used from there on. A
 # standing car thus adds nothing. Otherwise returns that a check holds out would come back.
 _LEAST_WAY_M = 0.3
-_SCANS, _POINTS = 10, 20_000  # most scans, and most returns of each
+_SCANS, _POINTS = 10, 10_000  # most scans, and most returns of each
 _TOLERANCE = 1.03  # of the depths between which a remembered return must lie
 _CELL = 4  # columns of a cell of the gate, which compares with this cell and one on each side
 _LINE_ROWS = 1  # rows above and below a return that belong to its scan line
 _MOST_GAPS = 4.0  # a scan line bounds what is at most so many gaps between lines from it
-# A remembered return is dropped if one within so many pixels has less than this share of its depth.
-_HIDING_COLUMNS, _HIDING_SHARE = 2, 0.9
-_HIDING_ROWS = (2, 8)  # half the rows between two lines, within these
+# A remembered return is dropped if the depth of one within so many pixels differs by this share:
+# returns on one side of an edge alone would move it.
+_EDGE_COLUMNS, _EDGE_SHARE = 2, 0.9
+_EDGE_ROWS = (2, 8)  # half the rows between two lines, within these
+# None is added where traffic of the last scan is or may have come since: so many metres nearer to
+# the camera, columns as a share of the focal length, and a gap between lines beside it.
+_NEARER_M, _TRAFFIC_COLUMNS = (0, 0.75, 1.5), 1 / 45
 # What the figures of poses are, see `_Guard`.
 _LEAST_BESIDE, _LEAST_FRAMES, _FRAMES = 20, 3, 5
 _MOST_APART, _MOST_REJECTED = 0.01, 0.5
@@ -82,6 +86,10 @@ class _Scan(NamedTuple):
     pose: NDArray[np.float64]
     stamp_ns: int
 
+    def only(self, mask: NDArray[np.bool_]) -> "_Scan":
+        points = np.ascontiguousarray(self.points[:, mask])
+        return self._replace(points=points, pixel=self.pixel[mask])
+
 
 class ScanMemory:
     """Remembers the returns of the last frames of one camera. Not thread-safe.
@@ -116,7 +124,9 @@ class ScanMemory:
         self._sensor: tuple[Any, ...] | None = None
         self._last_ns: int | None = None
         self._guard = _Guard()
-        self._still: NDArray[np.bool_] | None = None  # returns of the last scan that stay
+        # The returns of the last frame, and those of them on which its answer shows traffic.
+        self._last: _Scan | None = None
+        self._traffic: _Scan | None = None
         self.cleared: dict[str, int] = {}
 
     def clear(self, reason: str) -> None:
@@ -125,7 +135,7 @@ class ScanMemory:
             self.cleared[reason] = self.cleared.get(reason, 0) + 1
         self._scans.clear()
         self._poses, self._sensor, self._last_ns = PoseBuffer(capacity=4), None, None
-        self._still = None
+        self._last = self._traffic = None
         self._guard = _Guard()
 
     def recall(
@@ -156,23 +166,20 @@ class ScanMemory:
         ways_m = [float(np.linalg.norm(scan.pose[:3, 3] - camera[:3, 3])) for scan in self._scans]
         moved = [s for s, way_m in zip(self._scans, ways_m, strict=True) if way_m >= _LEAST_WAY_M]
         found = self._remembered(moved, present, camera, stamp_ns, calibration)
-        if self._still is not None:
-            last = self._scans.pop()
-            points = np.ascontiguousarray(last.points[:, self._still])
-            self._scans.append(last._replace(points=points, pixel=last.pixel[self._still]))
-            self._still = None
+        self._last, self._traffic = _Scan(*_unproject(present, calibration), camera, stamp_ns), None
         if len(moved) == len(ways_m):  # this frame is far enough from all of them
-            points, pixel = _unproject(present, calibration)
-            self._scans.append(_Scan(points, pixel, camera, stamp_ns))
+            self._scans.append(self._last)
         return found
 
     def answered(self, prediction: Prediction) -> None:
-        """Use returns of the last frame for the next one alone, where its answer shows traffic."""
-        semantic = prediction.semantic
-        if semantic is not None and self._scans and self._scans[-1].stamp_ns == self._last_ns:
-            moves = [name.lower() in _MAY_MOVE for name in prediction.class_names]
-            still = np.array([not each for each in moves] + [True] * 256)
-            self._still = still[semantic.reshape(-1).take(self._scans[-1].pixel)]
+        """Forget returns of the last frame where its answer shows traffic, and add none there."""
+        if prediction.semantic is None or self._last is None:
+            return
+        names = [name.lower() in _MAY_MOVE for name in prediction.class_names]
+        moves = np.array(names + [False] * 256)[prediction.semantic.take(self._last.pixel)]
+        self._traffic = self._last.only(moves)
+        if self._scans and self._scans[-1] is self._last:
+            self._scans[-1] = self._last.only(~moves)
 
     def _follow(
         self, camera: NDArray[np.float64], stamp_ns: int, calibration: Calibration, size: Any
@@ -205,38 +212,59 @@ class ScanMemory:
         returns = np.zeros_like(present)
         if not scans or self._guard.pauses(stamp_ns):
             return Remembered(returns, off=self._guard.off)
-        places = [
-            find_pixels(
-                scan.points,
-                calibration.intrinsics,
-                relative(scan.pose, camera),
-                present.shape,
-                lens=calibration.lens_model,
+        first = max(int(np.argmax(present.any(axis=1))) - _LINE_ROWS, 0)
+        view, cut = present[first:], first * present.shape[1]  # nothing bounds what lies above
+
+        def seen(scan: _Scan, nearer_m: float = 0) -> tuple[NDArray[np.int64], Depth]:
+            """Pixels in the view and depths."""
+            move, lens = relative(scan.pose, camera), calibration.lens_model
+            move[2, 3] -= nearer_m
+            places = find_pixels(
+                scan.points, calibration.intrinsics, move, present.shape, lens=lens
             )
-            for scan in scans
-        ]
-        pixel = np.concatenate([each.pixel for each in places])
-        depth = np.concatenate([each.depth for each in places])
-        own = present.reshape(-1).take(pixel)
+            below = np.flatnonzero(places.pixel >= cut)
+            return places.pixel.take(below) - cut, places.depth.take(below)
+
+        pixel, depth = map(np.concatenate, zip(*map(seen, scans), strict=True))
+        own, lines = view.reshape(-1).take(pixel), ScanLines.of(view)
         beside = np.flatnonzero(own > 0)
         apart = np.abs(np.log(depth.take(beside) / own.take(beside)))
-        free = np.flatnonzero(own <= 0)
+        is_free = own <= 0
+        if self._traffic is not None:
+            clear: NDArray[Any] = np.ones(view.shape, np.uint8)
+            for nearer_m in _NEARER_M:
+                clear.reshape(-1)[seen(self._traffic, nearer_m)[0]] = 0
+            columns = round(_TRAFFIC_COLUMNS * calibration.focal_length_px)
+            clear = cv2.erode(clear, _window(round(lines.gap), columns))
+            is_free &= clear.reshape(-1).take(pixel) > 0
+        free = np.flatnonzero(is_free)
         pixel, depth = pixel.take(free), depth.take(free)
-        lines = ScanLines.of(present)
         bounded, between = lines.bounds(pixel, depth)
         allowed = np.flatnonzero(bounded & between)
         count = np.count_nonzero(bounded)
         rejected = 1 - len(allowed) / count if count else None
         if not self._guard.add(apart, rejected, stamp_ns):
             return Remembered(returns, rejected_share=rejected, off=self._guard.off)
-        pixel, nearest = pixel.take(allowed), np.where(present > 0, present, np.float32(np.inf))
+        pixel, nearest = pixel.take(allowed), np.where(view > 0, view, np.float32(np.inf))
         _keep_least(nearest, pixel, depth.take(allowed))
-        rows = int(np.clip(round(lines.gap / 2), *_HIDING_ROWS))
-        window = np.ones((2 * rows + 1, 2 * _HIDING_COLUMNS + 1), np.uint8)
-        around = cv2.erode(nearest, window).reshape(-1).take(pixel)
-        depth = nearest.reshape(-1).take(pixel)
-        returns.reshape(-1)[pixel] = np.where(around < _HIDING_SHARE * depth, 0, depth)
-        return Remembered(returns, int(np.count_nonzero(returns > 0)), rejected)
+        off_edges = pixel[~_is_edge(nearest, pixel, lines.gap)]
+        returns[first:].reshape(-1)[off_edges] = nearest.reshape(-1).take(off_edges)
+        return Remembered(returns, int(np.count_nonzero(returns)), rejected)
+
+
+def _is_edge(nearest: Depth, pixel: NDArray[np.int64], gap: float) -> NDArray[np.bool_]:
+    """Whether a return within the window around each pixel differs; infinite = no return."""
+    window = _window(int(np.clip(round(gap / 2), *_EDGE_ROWS)), _EDGE_COLUMNS)
+    depth = nearest.reshape(-1).take(pixel)
+    least = cv2.erode(nearest, window).reshape(-1).take(pixel)
+    returns = np.where(nearest < np.inf, nearest, np.float32(0))
+    greatest = cv2.dilate(returns, window).reshape(-1).take(pixel)
+    return np.asarray((least < _EDGE_SHARE * depth) | (_EDGE_SHARE * greatest > depth))
+
+
+def _window(rows: int, columns: int) -> NDArray[np.uint8]:
+    """A window of so many pixels on each side of its middle."""
+    return np.ones((2 * rows + 1, 2 * columns + 1), np.uint8)
 
 
 class ScanLines(NamedTuple):

@@ -1,5 +1,6 @@
 from itertools import pairwise
 
+import cv2
 import numpy as np
 import pytest
 
@@ -117,13 +118,42 @@ def test_a_car_that_drove_on_leaves_no_trail_and_nothing_is_added_in_the_sky():
     assert not found[:64].any()
 
 
-def test_what_is_hidden_now_does_not_shine_through():
+def test_what_is_hidden_now_does_not_shine_through_and_no_edge_is_moved():
     memory = ScanMemory()
-    drive(memory, 1)
-    hidden = scan(1.0)
-    hidden[25:66:10, 60:140:2] = 5.0  # a lorry
-    found = memory.recall(hidden, pose(1.0), PERIOD_NS, CALIBRATION).returns
+    for number in range(2):
+        depth = scan(number)
+        depth[25:66:10, 60:140:2] = 5.0  # a lorry that drives ahead
+        found = memory.recall(depth, pose(number), number * PERIOD_NS, CALIBRATION).returns
+    assert np.count_nonzero(found) > 100
     assert not found[25:66, 68:132].any()
+    row, column = np.nonzero(found)
+    window = np.ones((5, 5), np.uint8)
+    least = cv2.erode(np.where(depth > 0, depth, 99), window)[row, column]
+    greatest = cv2.dilate(depth, window)[row, column]
+    assert (least >= 0.9 * found[row, column]).all()
+    assert (0.9 * greatest <= found[row, column]).all()
+
+
+@pytest.mark.parametrize("count", [19, 20])  # the last frame is remembered, or too near to others
+def test_nothing_is_added_where_traffic_was_or_comes(count):
+    class Answer:
+        class_names, semantic = ("road", "car"), np.zeros(SIZE, np.uint8)
+
+    Answer.semantic[:, 90:110] = 1
+    found = []
+    for answered in (False, True):
+        memory = ScanMemory()
+        drive(memory, count, speed_m=0.2)
+        if answered:
+            memory.answered(Answer())
+        found.append(drive(memory, 1, first=count, speed_m=0.2).returns)
+    assert found[0][:, 90:110].any()
+    assert not found[1][:, 88:112].any()
+    np.testing.assert_array_equal(found[1][:, :60], found[0][:, :60])
+    without, nearer = (np.count_nonzero(each[80:, 80:86]) for each in found)
+    assert nearer < 0.75 * without, "it may have come nearer"
+    later = drive(memory, 1, first=count + 1, speed_m=0.2).returns
+    assert later[:, 90:110].any()
 
 
 def test_a_standing_car_adds_nothing_and_keeps_nothing():
@@ -187,7 +217,7 @@ def test_memory_is_bounded():
     calibration = Calibration(CALIBRATION.intrinsics, np.eye(4))
     for number in range(15):
         memory.recall(dense, pose(float(number)), number * PERIOD_NS, calibration)
-    assert sum(each.points.nbytes for each in memory._scans) <= 10 * 20_000 * 12
+    assert sum(each.points.nbytes for each in memory._scans) <= 10 * 10_000 * 12
 
 
 def test_one_wrong_pose_does_not_switch_the_memory_off():
