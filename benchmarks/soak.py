@@ -5,7 +5,7 @@
 A camera thread and a LiDAR thread push for `--minutes` at 1.5 times the rate that the model reaches
 on this machine. Both send faults now and then: bursts of NaN, empty, halved and wrongly sized depth
 maps, black, frozen and wrongly sized images, and late, double, missing and jumping stamps. Readers
-are killed and started again.
+are killed and started again. Each image comes with a pose, and the stream remembers two seconds.
 
 The program exits with 1 if a message is not accounted for, or if the process grew by more than 64
 MB after the first fifth.
@@ -28,17 +28,18 @@ import numpy as np
 import psutil
 from numpy.typing import NDArray
 
-from runtime import InputError, Predictor, PushStream
+from runtime import Calibration, InputError, Predictor, PushStream, Rig
 from runtime.app.run.pipeline import dedicate_process
 from runtime.contract.resize import move_returns
-from runtime.recordings.bundled_stream import bundled_frames
+from runtime.recordings.bundled_stream import BUNDLED_FOCAL_LENGTH_PX, bundled_frames
 from runtime.streams.frame import Frame
 from runtime.streams.messages import Depth, Image
 from runtime.streams.statistics import StreamStatistics
-from runtime.streams.stream_counter import StreamCounts
+from runtime.streams.stream_counter import MessageCounts, StreamCounts
 
 _LARGEST_GROWTH_MB = 64
 _FAULTY = 0.1  # share of the messages that are faulty
+_WALL_M, _STEP_M = 20, 0.4  # way to a wall, and along it between two frames
 _LOAD = 1.5  # rate divided by the rate that the model reaches
 
 
@@ -57,6 +58,7 @@ class Soaked:
 
     Attributes:
         called: number of pushes by sensor, counted by the sensors.
+        remembering: answers with returns of earlier scans.
         faults: number of injected faults by kind.
         resident_mb: memory of the process over time.
     """
@@ -66,6 +68,7 @@ class Soaked:
     faults: Counter[str] = field(default_factory=Counter)
     levels: Counter[str] = field(default_factory=Counter)
     results: int = 0
+    remembering: int = 0
     resident_mb: list[float] = field(default_factory=list)
     counts: StreamCounts | None = None
     statistics: StreamStatistics | None = None
@@ -82,16 +85,22 @@ class Soaked:
         found = []
         if self.counts.pending:
             found.append(f"{self.counts.pending} messages have no outcome")
-        for sensor, counts in (("image", self.counts.images), ("depth", self.counts.depths)):
+        for sensor, counts in by_sensor(self.counts).items():
             if counts.pushed != self.called[sensor]:
                 found.append(f"{self.called[sensor]} of {sensor} pushed, {counts.pushed} counted")
         if self.counts.images.answered != self.results:
             found.append(f"{self.results} results, {self.counts.images.answered} counted")
-        if sum(self.counts.errors.values()) < self.refused:
-            found.append(f"{self.refused} refused, {sum(self.counts.errors.values())} errors")
+        errors = sum(sum(each.errors.values()) for each in by_sensor(self.counts).values())
+        if errors < self.refused:
+            found.append(f"{self.refused} refused, {errors} errors")
         if self.growth_mb > _LARGEST_GROWTH_MB:
             found.append(f"the process grew by {self.growth_mb:.0f} MB")
         return found
+
+
+def by_sensor(counts: StreamCounts) -> dict[str, MessageCounts]:
+    """Return the counts of each sensor."""
+    return {"image": counts.images, "depth": counts.depths, "pose": counts.poses}
 
 
 def soak(
@@ -107,8 +116,12 @@ def soak(
     """
     soaked = Soaked()
     lock = threading.Lock()
+    (height, width), focal_px = frames[0].rgb.shape[:2], BUNDLED_FOCAL_LENGTH_PX
+    intrinsics = np.array([[focal_px, 0, width / 2], [0, focal_px, height / 2], [0, 0, 1]])
+    calibration = Calibration(intrinsics, np.eye(4), (height, width))
     stream = PushStream(
         predictor,
+        Rig(calibration=calibration, pose_frame="camera", memory_s=2.0),
         deadline_ms=100,
         on_state=lambda state: soaked.levels.update([str(state.level)]),
     )
@@ -139,6 +152,10 @@ def soak(
                     soaked.faults[kind] += 1
                 if kind == "killed":
                     raise ReaderKilledError
+            if sensor == "image":
+                pose = np.eye(4)
+                pose[0, 3] = _STEP_M * number
+                push("pose", stream.push_pose, pose, stamp)
             push(sensor, method, data, stamp)
             if period_s:
                 time.sleep(max(0.0, started + number * period_s - time.perf_counter()))
@@ -167,8 +184,9 @@ def soak(
     for thread in (*readers, closer):
         thread.start()
     sampled = 0.0
-    for _ in stream:
+    for result in stream:
         soaked.results += 1
+        soaked.remembering += result.memory_returns > 0
         if time.perf_counter() - sampled > 0.5:
             sampled = time.perf_counter()
             soaked.resident_mb.append(resident_mb())
@@ -227,13 +245,14 @@ def _stamp_fault(kind: str, stamp: float, shift: float) -> tuple[Any, float]:
 
 
 def resized_frames(size: tuple[int, int]) -> list[Frame]:
-    """Return the bundled stream at another size."""
+    """Return the bundled stream at another size, its returns on a wall, which fits the poses."""
+    depths = (move_returns(frame.sparse_depth, size) for frame in bundled_frames())
     return [
         Frame(
             Image(cv2.resize(frame.rgb, size[::-1])),
-            Depth(move_returns(frame.sparse_depth, size)),
+            Depth(np.where(depth > 0, np.float32(_WALL_M), depth)),
         )
-        for frame in bundled_frames()
+        for frame, depth in zip(bundled_frames(), depths, strict=True)
     ]
 
 
@@ -260,13 +279,14 @@ def main() -> None:
     assert soaked.counts is not None
     assert soaked.statistics is not None
     print(f"pushed at {1 / period_s:.1f} Hz a sensor for {arguments.minutes:g} min")
-    for name, counts in (("image", soaked.counts.images), ("depth", soaked.counts.depths)):
+    for name, counts in by_sensor(soaked.counts).items():
         print(
             f"{name}: {counts.pushed} pushed = {counts.answered} answered + dropped "
             f"{dict(counts.dropped)} + unmatched {dict(counts.unmatched)} + errors "
             f"{dict(counts.errors)} + {counts.pending} pending"
         )
     print(f"faults: {dict(soaked.faults)}\nwatchdog: {dict(soaked.levels)}")
+    print(f"{soaked.remembering} of {soaked.results} answers with remembered returns")
     print(soaked.statistics.table())
     memory = soaked.resident_mb or [0.0]
     print(

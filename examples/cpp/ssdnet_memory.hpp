@@ -97,7 +97,7 @@ class ScanMemory {
   };
   static constexpr double kLeastWay = 0.3, kMostGaps = 4.0, kMostApart = 0.01, kMostRejected = 0.5;
   static constexpr std::size_t kScans = 10, kPoints = 10000, kLeastBeside = 20, kLeastFrames = 3, kFrames = 5;
-  static constexpr float kTolerance = 1.03f, kEdgeShare = 0.9f, kTrafficColumns = 1 / 45.0f;
+  static constexpr float kTolerance = 1.03f, kHiddenShare = 0.9f, kEdgeShare = 0.5f, kTrafficColumns = 1 / 45.0f;
   static constexpr std::array<double, 3> kNearer{0, 0.75, 1.5};
   static constexpr int kCell = 4, kLineRows = 1, kEdge = 2;
   static constexpr std::int64_t kPause = 5000000000;
@@ -189,7 +189,7 @@ class ScanMemory {
       const float depth = nearest[each.pixel];
       bool is_edge = false;
       around(each.pixel, rows, kEdge, camera, [&](std::size_t at) {
-        is_edge |= nearest[at] < kEdgeShare * depth || (nearest[at] < INFINITY && kEdgeShare * nearest[at] > depth);
+        is_edge |= nearest[at] < kHiddenShare * depth || (nearest[at] < INFINITY && depth < kEdgeShare * nearest[at]);
       });
       if (!is_edge) returns_[each.pixel] = depth;
     }

@@ -34,9 +34,10 @@ _TOLERANCE = 1.03  # of the depths between which a remembered return must lie
 _CELL = 4  # columns of a cell of the gate, which compares with this cell and one on each side
 _LINE_ROWS = 1  # rows above and below a return that belong to its scan line
 _MOST_GAPS = 4.0  # a scan line bounds what is at most so many gaps between lines from it
-# A remembered return is dropped if the depth of one within so many pixels differs by this share:
-# returns on one side of an edge alone would move it.
-_EDGE_COLUMNS, _EDGE_SHARE = 2, 0.9
+# A remembered return is dropped if one within so many pixels has less than this share of its depth,
+# since it may be hidden, or if it has less than that share of another's, since returns on the near
+# side of an edge alone would move it.
+_EDGE_COLUMNS, _HIDDEN_SHARE, _EDGE_SHARE = 2, 0.9, 0.5
 _EDGE_ROWS = (2, 8)  # half the rows between two lines, within these
 # None is added where traffic of the last scan is or may have come since: so many metres nearer to
 # the camera, columns as a share of the focal length, and a gap between lines beside it.
@@ -253,13 +254,13 @@ class ScanMemory:
 
 
 def _is_edge(nearest: Depth, pixel: NDArray[np.int64], gap: float) -> NDArray[np.bool_]:
-    """Whether a return within the window around each pixel differs; infinite = no return."""
+    """Whether a return around each pixel is much nearer or farther; infinite = no return."""
     window = _window(int(np.clip(round(gap / 2), *_EDGE_ROWS)), _EDGE_COLUMNS)
     depth = nearest.reshape(-1).take(pixel)
     least = cv2.erode(nearest, window).reshape(-1).take(pixel)
     returns = np.where(nearest < np.inf, nearest, np.float32(0))
     greatest = cv2.dilate(returns, window).reshape(-1).take(pixel)
-    return np.asarray((least < _EDGE_SHARE * depth) | (_EDGE_SHARE * greatest > depth))
+    return np.asarray((least < _HIDDEN_SHARE * depth) | (depth < _EDGE_SHARE * greatest))
 
 
 def _window(rows: int, columns: int) -> NDArray[np.uint8]:
