@@ -218,7 +218,10 @@ class FolderSource(Source):
             if name in depths:
                 places.append(Place(Sensor.DEPTH, depths[name], stamp_ns))
             places.append(Place(Sensor.IMAGE, image, stamp_ns))
-        frames = self._match(places, limit=limit, camera_only=self._depth is None)
+        return self._match(places, limit=limit, camera_only=self._depth is None)
+
+    def _match(self, *places: Any, **options: Any) -> tuple[ListedFrame, ...]:
+        frames = super()._match(*places, **options)
         if self._is_odometry:
             self._poses = self._find_poses(frames)
         return frames

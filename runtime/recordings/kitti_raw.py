@@ -12,6 +12,7 @@ from runtime.base.stamp import parse_date
 from runtime.files.read_input import read_text
 from runtime.geometry.calibration import RAW_CAMERAS, RAW_SCANNER, Calibration, find_raw_calibration
 from runtime.geometry.kitti_calibration import NumbersFile
+from runtime.geometry.odometry import ODOMETRY
 from runtime.geometry.rig import DEFAULT_RIG, Rig
 from runtime.geometry.rigid import nearest_rigid
 from runtime.recordings.folders import FolderSource
@@ -41,18 +42,26 @@ class KittiRawSource(FolderSource):
         rig: without a calibration in it, KITTI's files in the drive's folder or in its parent are
             read. The time stamps of KITTI mark the middle of a scan.
         camera: 2 is the left and 3 the right colour camera; 0 and 1 are grey.
+        poses: "odometry": they are found from the scans, and those of the drive are not used.
 
     Raises:
-        InputError: if a folder, the calibration or a time stamp is missing or damaged.
+        InputError: if a folder, the calibration or a time stamp is missing or damaged, or if
+            `poses` is a file.
     """
 
     accepted = "a drive of KITTI raw data (holds velodyne_points/data/)"
-    options = ("camera",)
+    options = ("camera", "poses")
     rig_options = ("calibration", "max_skew_ms", "reuse_depth_ms", "scan_stamp")
     camera_alone = True
     calibration: Calibration
 
-    def __init__(self, drive: Path, rig: Rig = DEFAULT_RIG, *, camera: int = 2) -> None:
+    def __init__(
+        self, drive: Path, rig: Rig = DEFAULT_RIG, *, camera: int = 2, poses: Path | None = None
+    ) -> None:
+        if poses not in (None, Path(ODOMETRY)):
+            raise InputError(
+                f"a drive holds its own poses, and `poses={ODOMETRY}` finds others: got {poses}"
+            )
         images, scans = drive / f"image_{camera:02d}", drive / "velodyne_points"
         for folder in (images / "data", scans / "data"):
             if not os.path.isdir(folder):
@@ -69,7 +78,7 @@ class KittiRawSource(FolderSource):
         self._kitti_rectified = not os.path.realpath(drive).endswith("_extract")
         stamp = rig.scan_stamp or "middle"  # as KITTI documents it
         rig = replace(rig, calibration=calibration, scan_stamp=stamp)
-        given = {"points": scans / "data", "camera": camera}
+        given = {"points": scans / "data", "camera": camera, "poses": poses}
         super().__init__(images / "data", replace(rig, reuse_depth_ms=None), **given)
         self._drive, self._rig = drive, rig
         self._oxts: Path | None = None  # folder of the poses, if they are used
@@ -78,7 +87,9 @@ class KittiRawSource(FolderSource):
         returns = _read_stamps(Sensor.DEPTH, scans, _SCANS)
         if pictures and returns:
             self._stamped = sorted(pictures + returns, key=lambda place: place.stamp_ns)
-        if self._stamped and not isinstance(calibration, Calibration):
+        if self._is_odometry:
+            self._note(f"poses by odometry: those of {drive / 'oxts'}, if any, are not used")
+        elif self._stamped and not isinstance(calibration, Calibration):
             with self.collecting():
                 self._read_oxts(drive / "oxts", Path(calibration) / RAW_IMU)
 
@@ -122,7 +133,7 @@ class KittiRawSource(FolderSource):
             "camera": self._given.camera,
             "max_skew_ms": self._rig.max_skew_ms if self._stamped else None,
             "reuse_depth_ms": self._rig.max_depth_age_ms,
-            "poses": self._oxts and str(self._oxts),
+            "poses": ODOMETRY if self._is_odometry else self._oxts and str(self._oxts),
         }
 
 

@@ -136,7 +136,7 @@ class RunOptions:
     poses: Path | None = _input(
         "Poses in KITTI's or TUM's format, by which the scans of a folder are moved to the time of "
         "the image. Needs pose_frame in --source. Drives of KITTI and bags hold their own poses. "
-        f"{ODOMETRY} finds them from the scans of a folder (extra odometry).",
+        f"{ODOMETRY} finds them from the scans of a folder or drive (extra odometry).",
         metavar=f"FILE|{ODOMETRY}",
     )
     source: str | None = _input(

@@ -172,3 +172,27 @@ def test_a_drive_says_why_its_poses_are_not_used(drive, make_scan, missing):
     frame = source.read(source.list_frames()[1])
     assert agree(frame.sparse_depth, projected(make_scan(1), left_m=0.05))
     assert any(f"{Path(missing).name} is missing" in line for line in source.notes)
+
+
+def test_odometry_replaces_the_poses_of_a_drive(drive, make_scan, monkeypatch):
+    """The odometry drives backwards, `oxts` ahead."""
+    write_oxts(drive)
+
+    class Backwards:
+        added = 0
+
+        def add(self, points):
+            pose = np.eye(4)
+            pose[0, 3] = -0.1 * SPEED * self.added
+            self.added += 1
+            return pose
+
+    monkeypatch.setattr("runtime.recordings.folders.Odometry", Backwards)
+    source = KittiRawSource(drive, poses=Path("odometry"))
+    frame = source.read(source.list_frames()[3])
+    expected = projected(make_scan(3), left_m=0.05, ahead_m=-0.013 * SPEED)
+    assert agree(frame.sparse_depth, expected)
+    assert source.inputs["poses"] == "odometry"
+    assert any("oxts, if any, are not used" in note for note in source.notes)
+    with pytest.raises(InputError, match="holds its own poses"):
+        KittiRawSource(drive, poses=Path("poses.txt"))
