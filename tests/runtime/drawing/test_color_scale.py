@@ -25,9 +25,8 @@ def test_the_lightness_alone_tells_the_order(scale, direction):
 
 def test_equal_ratios_look_equally_different():
     def index(value: float) -> int:
-        colors = cv2.applyColorMap(
-            np.arange(256, dtype=np.uint8).reshape(-1, 1), cv2.COLORMAP_VIRIDIS
-        )
+        steps = np.arange(256, dtype=np.uint8).reshape(-1, 1)
+        colors = cv2.applyColorMap(steps, cv2.COLORMAP_VIRIDIS)
         (found,) = np.flatnonzero((colors[:, 0] == PERCENT.paint(np.float32([[value]]))).all(-1))
         return int(found)
 

@@ -32,11 +32,8 @@ def red_metres(tmp_path, make_stream, model_file, contract):
     for name in ("f0.png", "f1.png"):
         cv2.imwrite(str(folders[0] / name), np.stack([red, red // 2, red], axis=-1))
         cv2.imwrite(str(folders[1] / name), np.rint(red / 16 * 1000).astype(np.uint16))
-    return folders, model_file(
-        edit=see_red,
-        contract=replace(contract, canonical_focal_px=100.0),
-        heads=("semantic", "depth"),
-    )
+    contract = replace(contract, canonical_focal_px=100.0)
+    return folders, model_file(edit=see_red, contract=contract, heads=("semantic", "depth"))
 
 
 @pytest.mark.parametrize(
@@ -92,9 +89,8 @@ def test_the_demo_runs_the_bundled_stream(tmp_path, stream, model_file, monkeypa
     bundled = tmp_path / "assets" / "stream"
     bundled.mkdir(parents=True)
     arguments = ["--demo", "--model", str(model_file()), "--out", str(tmp_path / "out")]
-    monkeypatch.setattr(
-        runtime.recordings.bundled_stream.resources, "files", lambda package: tmp_path
-    )
+    resources = runtime.recordings.bundled_stream.resources
+    monkeypatch.setattr(resources, "files", lambda package: tmp_path)
     empty = CliRunner().invoke(app, arguments)
     assert empty.exit_code == 1
     stream[0].rename(bundled / "rgb")

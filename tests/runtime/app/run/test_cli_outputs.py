@@ -97,9 +97,7 @@ def test_only_what_the_model_answers_is_saved(tmp_path, stream, model_file):
 
 @pytest.mark.parametrize("place", ["taken", "file/a", "loop/a", "n" * 256])
 @pytest.mark.parametrize("option", ["--record", "--out"])
-def test_places_that_cannot_be_written_are_errors_before_the_run(
-    tmp_path, run, monkeypatch, option, place
-):
+def test_places_that_cannot_be_written_are_errors(tmp_path, run, monkeypatch, option, place):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "file").write_text("mine")
     (tmp_path / "taken").mkdir()

@@ -122,9 +122,7 @@ def test_models_take_turns_after_runs_that_do_not_count(run, model_file, monkeyp
     assert second[4:6] == ["1.14", "1.13 to 1.17"]  # of 6 / 5, 8 / 7, 10 / 9
 
 
-def test_a_failure_between_the_runs_takes_the_row_and_leaves_the_others(
-    run, model_file, monkeypatch
-):
+def test_a_failure_between_the_runs_takes_one_row_alone(run, model_file, monkeypatch):
     real, calls = bench_worker.time_runs, iter(range(100))
 
     def fail(*arguments):

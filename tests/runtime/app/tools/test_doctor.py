@@ -42,9 +42,8 @@ def test_what_is_installed_here_works(monkeypatch, models):
     *lines, verdict = result.output.splitlines()
     assert verdict == "the engine works on cpu"
     found = {line[8:32].strip(): line[33:] for line in lines}
-    assert {name for name in found if name.endswith(" on cpu")} == {
-        f"{each} on cpu" for each in models
-    }
+    tested = {f"{each} on cpu" for each in models}
+    assert {name for name in found if name.endswith(" on cpu")} == tested
     assert found["numpy"] == np.__version__
     assert found["ssdnet"] == version("ssdnet")
     assert found["processor"] == machine_facts().processor

@@ -14,9 +14,7 @@ CENTRED = np.array([[62, 0, 31.5], [0, 62, 23.5], [0, 0, 1.0]])
     ("--calibration", K, {}), ("--focal-length", CENTRED, {}),
     ("--focal-length", CENTRED, {"cloud_voxel": 5, "max_uncertainty": 0.2}),
 ])  # fmt: skip
-def test_the_command_writes_clouds(
-    tmp_path, run, stream, all_heads, read_ply, option, camera, thin
-):
+def test_clouds_are_written(tmp_path, run, stream, all_heads, read_ply, option, camera, thin):
     toml = tmp_path / "camera.toml"
     toml.write_text(f"intrinsics = {K.tolist()}\nextrinsics = {np.eye(4).tolist()}\n")
     given = [option, toml if option == "--calibration" else 62, "--save", "cloud"]
@@ -44,9 +42,7 @@ def test_the_command_writes_clouds(
     ("--save", "depth,cloud", "--save cloud needs the camera's intrinsics: give --calibration"),
     ("--max-uncertainty", 0.2, "--max-uncertainty needs the uncertainty"),
 ])  # fmt: skip
-def test_what_cannot_be_made_is_an_error_before_anything_is_written(
-    tmp_path, run, model_file, option, value, text
-):
+def test_what_cannot_be_made_is_an_error(tmp_path, run, model_file, option, value, text):
     result = run(option, value, "--model", model_file())
     assert (result.exit_code, text in result.stderr) == (1, True)
     assert not (tmp_path / "out").exists()

@@ -35,10 +35,8 @@ def write(open_run, answered):
         kept = {head: given[head] for head in heads or given}
         prediction = dataclasses.replace(result.prediction, heads=kept)
         for name in names:
-            writer.write(
-                dataclasses.replace(frame, name=name),
-                dataclasses.replace(result, name=name, prediction=prediction),
-            )
+            named = dataclasses.replace(result, name=name, prediction=prediction)
+            writer.write(dataclasses.replace(frame, name=name), named)
         return writer
 
     return make

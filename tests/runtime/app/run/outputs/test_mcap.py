@@ -43,9 +43,7 @@ def read_mcap(path):
     return found
 
 
-def test_the_answers_are_read_back_with_the_stamps_of_the_camera(
-    tmp_path, contract, answered, open_run
-):
+def test_answers_have_the_stamps_of_the_camera(tmp_path, contract, answered, open_run):
     frame, result = answered
     prediction = result.prediction
     path = tmp_path / "deep" / "a.mcap"
@@ -83,9 +81,7 @@ def test_the_answers_are_read_back_with_the_stamps_of_the_camera(
     assert float(values["total_ms"]) == pytest.approx(prediction.latency.total_ms, abs=1e-3)
 
 
-def test_the_cloud_is_that_of_the_prediction_in_the_frame_of_the_recording(
-    tmp_path, answered, open_run
-):
+def test_the_cloud_is_in_the_frame_of_the_recording(tmp_path, answered, open_run):
     frame, result = answered
     seen = Frame(Image(frame.rgb, stamp_ns=STAMP_NS), calibration=CAMERA)
     run = open_run(mcap=tmp_path / "a.mcap", cloud_voxel=0.2, max_uncertainty=0.5)
@@ -135,9 +131,8 @@ def test_what_is_degraded_is_a_warning(tmp_path, answered, model_file, open_run)
 
 def test_frames_without_stamps_come_at_the_rate(tmp_path, run):
     assert run("--save", "none", "--mcap", tmp_path / "a.mcap", "--rate", 1000).exit_code == 0
-    times_ns = [
-        time_ns for time_ns, _ in read_mcap(tmp_path / "a.mcap")["/ssdnet/depth/compressed"]
-    ]
+    depths = read_mcap(tmp_path / "a.mcap")["/ssdnet/depth/compressed"]
+    times_ns = [time_ns for time_ns, _ in depths]
     assert times_ns == [number * 1_000_000 for number in range(len(times_ns))]
     assert len(times_ns) == 12
 

@@ -133,12 +133,7 @@ def ticks(page, side):
 def test_points_stand_where_their_times_are_and_the_line_is_broken_without_an_answer():
     times = {"a": 10, "b": 20, "<c>": 60, "d": None, "e": 30}
     outcomes = [
-        outcome(
-            status=SKIPPED if time is None else OK,
-            name=name,
-            latency_ms=time,
-            deadline_met=time != 60,
-        )
+        outcome(status=OK if time else SKIPPED, name=name, latency_ms=time, deadline_met=time != 60)
         for name, time in times.items()
     ]
     page = chart(outcomes, deadline_ms=50)
@@ -200,10 +195,8 @@ def look(contract, answered):
         for index in range(n):
             latency = Latency(0, 0, 0, time_ms(index))
             timed = dataclasses.replace(result.prediction, latency=latency)
-            page.write(
-                dataclasses.replace(frame, name=f"f{index}"),
-                dataclasses.replace(result, prediction=timed, health=marks(index)),
-            )
+            marked = dataclasses.replace(result, prediction=timed, health=marks(index))
+            page.write(dataclasses.replace(frame, name=f"f{index}"), marked)
         return page.samples()
 
     return run

@@ -27,23 +27,16 @@ def test_another_output_is_a_row_and_an_option(tmp_path, stream, all_heads, monk
         lines.append(f"{len(run.report.records)} frames")
         run.options.nearest.write_text("\n".join(lines))
 
-    monkeypatch.setitem(  # ... its row, ...
-        registry.OUTPUTS, "nearest", registry.OutputRow(open_nearest)
-    )
+    row = registry.OutputRow(open_nearest)  # ... its row, ...
+    monkeypatch.setitem(registry.OUTPUTS, "nearest", row)
 
     @dataclasses.dataclass(frozen=True)
     class Options(RunOptions):  # ... and its option
         nearest: Path | None = None
 
     rgb, depth = stream
-    options = Options(
-        rgb=rgb,
-        depth=depth,
-        model=str(all_heads),
-        out=tmp_path / "out",
-        limit=3,
-        nearest=tmp_path / "nearest.txt",
-    )
+    written = {"out": tmp_path / "out", "nearest": tmp_path / "nearest.txt"}
+    options = Options(rgb=rgb, depth=depth, model=str(all_heads), limit=3, **written)
     report = run(options)
     lines = (tmp_path / "nearest.txt").read_text().splitlines()
     assert [line.split()[0] for line in lines[:3]] == [record.name for record in report.records]
