@@ -43,17 +43,17 @@ def merge(base: Mapping[str, Any], changes: Mapping[str, Any], place: str = "") 
     return merged
 
 
-def build(kind: type[T], table: object) -> T:
-    """Build `kind` from a TOML table, strictly; InputError names the wrong key."""
+def build(kind: type[T], table: object, where: str = "") -> T:
+    """Build `kind` from a TOML table, strictly; InputError names the wrong key, after `where`."""
     try:
         # Through JSON: there a list may be a tuple, and "3" is not 3.
         return TypeAdapter(kind).validate_json(json.dumps(table))
     except TypeError as error:  # dates and times
-        raise InputError(f"{error}: write text, numbers, true or false") from error
+        raise InputError(f"{where}{error}: write text, numbers, true or false") from error
     except ValidationError as error:
         errors = error.errors(include_url=False)
         unknown = [item for item in errors if item["type"] == "unexpected_keyword_argument"]
-        raise InputError(_describe((unknown or errors)[0], kind)) from error
+        raise InputError(where + _describe((unknown or errors)[0], kind)) from error
 
 
 def parse_pairs(option: str, text: str, kind: Callable[[str], type]) -> tuple[str, dict[str, Any]]:

@@ -117,7 +117,4 @@ def parse_data(text: str) -> SourceRecipe:
     kind, colon, folder = head.partition(":")
     if not colon:
         raise InputError(f"--data {text!r}: write it as KIND:FOLDER[,KEY=VALUE...]")
-    try:
-        return build(AnySource, {"kind": kind, "path": folder, **table})
-    except InputError as error:
-        raise InputError(f"--data {text!r}: {error}") from error
+    return build(AnySource, {"kind": kind, "path": folder, **table}, f"--data {text!r}: ")

@@ -153,11 +153,7 @@ class Adapter:
 
 def read_adapter(path: Path) -> Adapter:
     """Read an adapter. Raises InputError for another kind of file, and a wrong key or value."""
-    table = read_toml(path)
-    try:
-        return build(Adapter, table)
-    except InputError as error:
-        raise InputError(f"{path}: {error}") from error
+    return build(Adapter, read_toml(path), f"{path}: ")
 
 
 def channel_axis(shape: Sequence[Any]) -> int | None:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 from pydantic.dataclasses import dataclass as checked
 
-from runtime.base.errors import DatasetError, InputError
+from runtime.base.errors import DatasetError
 from runtime.files.read_input import read_input
 from runtime.recordings.images import KITTI_DEPTH_SCALE
 from training.base.limits import STRICT, Positive
@@ -67,10 +67,7 @@ class Predictions:
     def parse(cls, text: str) -> "Predictions":
         """Read DIR[,KEY=VALUE...]. Raises InputError, or DatasetError without such a folder."""
         folder, table = parse_pairs("--predictions", text, lambda _: PredictionOptions)
-        try:
-            options = build(PredictionOptions, table)
-        except InputError as error:
-            raise InputError(f"--predictions {text!r}: {error}") from error
+        options = build(PredictionOptions, table, f"--predictions {text!r}: ")
         return cls(require_folder(Path(folder), "a PNG or .npy file for every frame"), options)
 
     @property
