@@ -61,7 +61,10 @@ class EvaluatedSet:
         self, model: ScoredModel, sample: Sample, fed: NDArray[np.float32], index: int
     ) -> HeadMaps:
         """Return a model's answer to a frame, with ids of the scored classes."""
-        answer = model.predict_frame(sample, fed, self.image_name(index))
+        if model.recorded is not None:
+            answer = model.recorded(sample, self.image_name(index))
+        else:
+            answer = model.predict(sample.rgb, fed, sample.focal_length_px)
         if answer.semantic is None:
             return answer
         table = model.table or self.classes.table

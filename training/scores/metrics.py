@@ -1,4 +1,4 @@
-"""The metrics of Table 1, KITTI's inverse-depth errors, boundary precision and recall, road IoU.
+"""The metrics of Table 1, KITTI's, and those of boundaries, of the road and of uncertainty.
 
 Each `...Scores` accumulates over frames with `update` and adds the sums of another one with
 `merge`. `figures` returns the metrics of all frames together by name: shares in 0..1, metres, 1/km,
@@ -36,6 +36,12 @@ RETURN_DISTANCES: Mapping[str, float] = {
 # Bins of the errors' histogram, equal in the logarithm [m]; neighbours differ by 0.3 %. The first
 # bin holds smaller errors, whose median is reported as 0.
 _ERROR_BINS_M = np.concatenate([[0], np.geomspace(1e-3, 1e3, 4097)])
+# Shares of a Laplace distribution within one and two of its scales b: 1 - exp(-1), 1 - exp(-2).
+LAPLACE_COVERAGE = (0.632, 0.865)
+# Of an uncertainty: shares of the pixels, the most confident ones, whose error is reported.
+_CONFIDENT = (0.5, 0.8, 1.0)
+# Bins of the uncertainty, equal in its logarithm; neighbours differ by 0.3 %.
+_LOWEST_M, _HIGHEST_M, _SCALE_BINS = 1e-3, 1e3, 4096
 # The boundary's F-score is reported at the best of these thresholds over the whole set.
 BOUNDARY_THRESHOLDS = tuple(threshold / 20 for threshold in range(6, 20))
 # Largest distance between predicted and true boundary pixels that match, and the pixels within it.
@@ -321,6 +327,63 @@ class DepthScores(Accumulator):
         for region, sums in self._regions.items():
             figures |= sums.figures(f"m_{region}")
         return figures
+
+
+class UncertaintyScores(Accumulator):
+    """Error of the most confident shares of the pixels of all frames together, and coverage.
+
+    The pixels of all frames are ranked together with a histogram of `_SCALE_BINS` bins over the
+    logarithm of the uncertainty, so that memory is bounded. If a share ends within a bin, a part of
+    the bin is taken, as if its pixels had equal errors.
+    """
+
+    def __init__(self) -> None:
+        # The columns are number of pixels and sum |e|.
+        self._bins = np.zeros((_SCALE_BINS, 2))
+        self._within = np.zeros(2)  # pixels whose error is at most one and two scales
+
+    def update(self, uncertainty: NDArray[np.floating], errors: DepthErrors) -> None:
+        """Count a frame by the scale of its Laplace distributions, float (H, W) [m], and errors."""
+        scale, error = uncertainty[errors.known].astype(np.float64), np.abs(errors.error)
+        place = np.log(np.clip(scale, _LOWEST_M, _HIGHEST_M) / _LOWEST_M)
+        index = (place / np.log(_HIGHEST_M / _LOWEST_M) * (_SCALE_BINS - 1)).astype(np.intp)
+        self._bins[:, 0] += np.bincount(index, minlength=_SCALE_BINS)
+        self._bins[:, 1] += np.bincount(index, weights=error, minlength=_SCALE_BINS)
+        self._within += [(error <= factor * scale).sum() for factor in (1, 2)]
+
+    def reliability(self, groups: int = 10) -> list[tuple[float, float]]:
+        """Return mean scale and mean |error| [m] of pixels in groups of equal number, by scale.
+
+        The mean |error| of a Laplace distribution is its scale.
+        """
+        pixels = self._bins[:, 0].sum()
+        if not pixels:
+            return []
+        middles = np.geomspace(_LOWEST_M, _HIGHEST_M, _SCALE_BINS)
+        sums = np.stack([self._bins[:, 0], self._bins[:, 0] * middles, self._bins[:, 1]])
+        counts, scales, errors = np.pad(sums, ((0, 0), (1, 0))).cumsum(axis=1)
+        at = np.linspace(0, pixels, groups + 1)
+        means = (np.diff(np.interp(at, counts, each)) for each in (scales, errors))
+        scale, error = (each * groups / pixels for each in means)
+        return list(zip(scale.tolist(), error.tolist(), strict=True))
+
+    def figures(self) -> dict[str, float]:
+        """Return the errors [m] of the confident pixels, and the coverage of the errors.
+
+        coverage_1 and coverage_2 are the shares within one and two scales, see `LAPLACE_COVERAGE`.
+        """
+        pixels = self._bins[:, 0].sum()
+        if not pixels:
+            return {}
+        counts, errors = np.vstack([np.zeros(2), self._bins.cumsum(axis=0)]).T
+        figures = {
+            f"mae_m_confident_{100 * share:.0f}": float(
+                np.interp(share * pixels, counts, errors) / (share * pixels)
+            )
+            for share in _CONFIDENT
+        }
+        within = (self._within / pixels).tolist()
+        return figures | dict(zip(("coverage_1", "coverage_2"), within, strict=True))
 
 
 class BoundaryScores(Accumulator):

@@ -40,20 +40,6 @@ class ScoredModel:
     is_canonical: bool = False
     recorded: Callable[[Sample, str | None], HeadMaps] | None = None
 
-    def predict_frame(
-        self, sample: Sample, fed: NDArray[np.float32], image_name: str | None
-    ) -> HeadMaps:
-        """Return the answer to a frame.
-
-        Args:
-            sample: the frame.
-            fed: its LiDAR input, float32 (H, W) [m].
-            image_name: stem of its image, by which recorded answers are found; None if unknown.
-        """
-        if self.recorded is not None:
-            return self.recorded(sample, image_name)
-        return self.predict(sample.rgb, fed, sample.focal_length_px)
-
 
 def open_network(
     network: Network, table: ClassTable, *, size_for: Callable[[Size], Size] = lambda size: size

@@ -21,7 +21,6 @@ from runtime.engine.preprocess import preprocess
 from training.datasets.sample import SampleSource, labelled
 from training.lidar.split import LidarInput, LidarSplit, frame_generator, split_lidar
 from training.scores import metrics
-from training.scores.uncertainty import UncertaintyScores
 
 # Beginning of the names of figures of heads that have no others.
 OTHER = "mean_error_"
@@ -106,7 +105,7 @@ class Scores(metrics.Accumulator):
         self.semantic = metrics.SemanticScores(num_classes)
         self.depth = metrics.DepthScores(farthest_m)
         self.boundary = metrics.BoundaryScores()
-        self.uncertainty = UncertaintyScores()
+        self.uncertainty = metrics.UncertaintyScores()
         self.road = metrics.RoadScores(num_classes)
         self.others: dict[str, metrics.ErrorSums] = {}  # of heads without other figures
 

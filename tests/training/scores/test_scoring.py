@@ -12,8 +12,10 @@ from runtime.contract.heads import HEADS
 from training.datasets.sample import AUXILIARY, Sample, make_frame
 from training.lidar.split import LidarInput
 from training.pages.pictures import draw_pictures
+from training.scores.evaluated_set import EvaluatedSet
 from training.scores.scored_model import ScoredModel
 from training.scores.scoring import HeadMaps, Scores, split_frames, torch_predict
+from training.scores.shared_classes import ScoredClasses
 
 K = np.array([[300.0, 0, 60], [0, 300.0, 20], [0, 0, 1]])
 
@@ -165,8 +167,9 @@ def test_frames_are_scored_with_their_own_focal_length():
         return HeadMaps(depth=sample().depth)
 
     frames = [split_lidar(sample(), "random:0.1"), split_lidar(sample(intrinsics=None), "none")]
+    data = EvaluatedSet("set", (), ScoredClasses("camvid", ()), ())
     for frame in frames:
-        ScoredModel(predict, "none").predict_frame(frame.sample, frame.fed, None)
+        data.answer(ScoredModel(predict, "none"), frame.sample, frame.fed, 0)
     assert seen == [300.0, None]
     source = [sample(), sample(intrinsics=None)]
     network = create_model("ssdnet-lite")

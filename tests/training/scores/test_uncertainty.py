@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from training.scores.metrics import DepthErrors
-from training.scores.uncertainty import LAPLACE_COVERAGE, UncertaintyScores
+from training.scores.metrics import LAPLACE_COVERAGE, DepthErrors, UncertaintyScores
 
 
 def frames(rng, count=3):
