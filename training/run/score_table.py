@@ -87,13 +87,10 @@ class ScoreTable:
 
         It yields nothing if step 0 was not scored.
         """
-        now = {row["set"]: row for row in self._rows}  # last row of each set
         pairs = {
-            f"{row['set']}/{key}": (float(row[key]), float(now[row["set"]][key]))
-            for row in self._rows
-            if row["step"] == "0" and row is not now[row["set"]]
-            for key in SHOWN
-            if row.get(key) and now[row["set"]].get(key)
+            f"{name}/{key}": (points[0][1], points[-1][1])
+            for (name, key), points in self.curves.items()
+            if points[0][0] == 0 and len(points) > 1
         }
         if not pairs:
             return
