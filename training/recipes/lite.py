@@ -248,8 +248,8 @@ _WIDTHS = SSDNetLiteConfig().encoder_widths
 _OFFSETS = {"sky": 0.5, "building": 0.5, "pole": 0.5, "road": -0.5, "fence": -1, "bicyclist": -1.5}
 STAGES = (
     Stage("1-crops", CROPS),
-    Stage("2-pairs", PAIRS, then=lambda run: prune_trunk(run.after, _WIDTHS, run.pictures)),
+    Stage("2-pairs", PAIRS, then=lambda network, pictures: prune_trunk(network, _WIDTHS, pictures)),
     Stage("3-narrow", NARROW),
-    Stage("4-joint", JOINT, then=lambda run: add_offsets(run.after, _OFFSETS)),
+    Stage("4-joint", JOINT, then=lambda network, _: add_offsets(network, _OFFSETS)),
     Stage("5-depth", DEPTH),
 )

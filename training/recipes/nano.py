@@ -52,6 +52,6 @@ _OFFSETS = {"sky": 0.25, "building": 0.5, "pole": 1.0, "tree": 0.5, "fence": -1.
 
 STAGES = (
     Stage("1-crops", CROPS),
-    Stage("2-pairs", PAIRS, then=lambda run: add_offsets(run.after, _OFFSETS)),
+    Stage("2-pairs", PAIRS, then=lambda network, _: add_offsets(network, _OFFSETS)),
     Stage("3-depth", DEPTH),
 )

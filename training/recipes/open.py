@@ -71,7 +71,7 @@ DEPTH = derive(
 )
 
 STAGES = (
-    Stage("1-crops", CROPS, then=lambda run: prune_trunk(run.after, _PRUNED, run.pictures)),
+    Stage("1-crops", CROPS, then=lambda network, pictures: prune_trunk(network, _PRUNED, pictures)),
     Stage("2-narrow", NARROW),
     Stage("3-depth", DEPTH),
 )

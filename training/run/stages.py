@@ -24,19 +24,6 @@ RESULT = "result.pt"
 
 
 @dataclass(frozen=True)
-class Trained:
-    """The argument of a stage's call.
-
-    Attributes:
-        after: the trained network.
-        pictures: images of its data, each float (1, 3, H, W), RGB in 0..255.
-    """
-
-    after: Network
-    pictures: Iterable[Tensor]
-
-
-@dataclass(frozen=True)
 class Stage:
     """A run of a recipe, and what is made of its weights.
 
@@ -44,13 +31,14 @@ class Stage:
         folder: NUMBER-NAME, below the folder of the run; "" for that folder itself, if the recipe
             has one stage only.
         recipe: the recipe of this stage.
-        then: returns the network that the next stage begins with; that of the last stage is written
+        then: returns the network that the next stage begins with, of the trained one and of images
+            of its data, each float (1, 3, H, W), RGB in 0..255; that of the last stage is written
             to RUN/model.pt. None: the trained network is taken as it is.
     """
 
     folder: str
     recipe: Recipe
-    then: Callable[[Trained], Network] | None = None
+    then: Callable[[Network, Iterable[Tensor]], Network] | None = None
 
     @property
     def result(self) -> str:
@@ -107,8 +95,7 @@ def _make_result(stage: Stage, run: TrainingRun, made: Path) -> None:
     """Run `then` of a finished stage, and write its network to `made`, unless it exists."""
     if stage.then is not None and not (made / stage.result).is_file():
         trained = load_checkpoint(run.out / FINAL)
-        pictures = _read_pictures(stage.recipe, run.data)
-        network = stage.then(Trained(trained.model, pictures))
+        network = stage.then(trained.model, _read_pictures(stage.recipe, run.data))
         save_checkpoint(made / stage.result, network, training=trained.training)
 
 

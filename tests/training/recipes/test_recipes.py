@@ -26,7 +26,6 @@ from training.recipes.pandaset_street import CAMERAS
 from training.recipes.registry import RECIPES
 from training.run.loop import train
 from training.run.network import build_network
-from training.run.stages import Trained
 from training.run.training_run import TrainingRun
 from training.weights.initial_weights import read_weights
 
@@ -203,7 +202,7 @@ def finish(stage, trained, init):
         return read_weights(trained)
     after = load_checkpoint(trained)
     pictures = [torch.full((1, 3, 64, 96), 100.0)]
-    network = stage.then(Trained(after.model, pictures))
+    network = stage.then(after.model, pictures)
     assert all(value.isfinite().all() for value in network.state_dict().values())
     result = trained.with_name("result.pt")
     save_checkpoint(result, network, training=after.training)

@@ -92,12 +92,16 @@ NARROW_WIDTHS = [8] * 15 + [4]
 ONE_STEP = derive(ALL, schedule={"steps": 1})
 NARROW = derive(DEPTH, schedule={"steps": 1}, model={"config": {"encoder_widths": NARROW_WIDTHS}})
 CALLED = (
-    Stage("1-all", ONE_STEP, then=lambda run: prune_trunk(run.after, NARROW_WIDTHS, run.pictures)),
+    Stage(
+        "1-all",
+        ONE_STEP,
+        then=lambda network, pictures: prune_trunk(network, NARROW_WIDTHS, pictures),
+    ),
     Stage("2-narrow", NARROW),
     Stage(
         "3-again",
         replace(NARROW, data=ALL.data),
-        then=lambda run: add_offsets(run.after, {"road": 2.0}),
+        then=lambda network, _: add_offsets(network, {"road": 2.0}),
     ),
 )
 
@@ -107,7 +111,7 @@ def test_a_call_makes_what_the_next_stage_begins_with_and_what_is_released(
 ):
     """This also holds if the run is killed in a call."""
 
-    def killed(run):
+    def killed(network, pictures):
         raise Killed
 
     out = tmp_path / "run"
@@ -150,7 +154,7 @@ def test_mixed_weights_lie_between_those_of_two_networks():
 def test_a_run_of_one_stage_releases_what_its_call_makes(data, tmp_path):
     """Without an average the released weights are those of the last step."""
     recipe = derive(ALL, loop={"ema_decay": 0.0})
-    stage = Stage("", recipe, then=lambda run: add_offsets(run.after, {"road": 2.0}))
+    stage = Stage("", recipe, then=lambda network, _: add_offsets(network, {"road": 2.0}))
     for _ in range(2):  # the finished run is not changed again
         path = train_stages((stage,), TrainingRun([data], tmp_path / "run")).path
         assert path == tmp_path / "run" / "model.pt"
