@@ -86,9 +86,10 @@ def finetune(**given: Any) -> None:
         if given["dry_run"] or found.stopped:
             return
         if "labels" in options or "depth" in options:
-            test = {name: options.get(name) for name in ("images", "labels", "depth")}
-            test = {name: path and f"TEST/{name}" for name, path in test.items()}
-            test |= {name: options.get(name) for name in ("classes", "palette")}
+            names = ("images", "labels", "classes", "palette", "depth")
+            test = {name: options.get(name) for name in names}
+            folders = [name for name in ("images", "labels", "depth") if name in options]
+            test |= {name: f"TEST/{name}" for name in folders}
             test["depth-scale"] = options.get("depth_scale")
             tested = ["ssdnet-eval", given["init"], str(given["out"])]
             typer.echo(shlex.join([*tested, *list_options(test)]))

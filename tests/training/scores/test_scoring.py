@@ -119,14 +119,6 @@ def test_each_figure_has_its_own_name():
     }
 
 
-def test_depth_beyond_100_m_counts_in_no_figure():
-    near, depth = sample(focal_baseline_px_m=400.0), sample().depth
-    depth[20] = 300
-    answer = np.where(depth > 100, np.float32(99), depth + 1).astype(np.float32)
-    result = figures(HeadMaps(depth=answer), near.with_targets(depth=depth))
-    assert result == pytest.approx(figures(HeadMaps(depth=near.depth + 1), near), rel=1e-6)
-
-
 def test_a_network_of_canonical_depth_sees_it_and_answers_in_metres():
     """A fake network that answers what it is fed: the factor must come off again."""
 
