@@ -85,6 +85,16 @@ class LidarInput:
             f"{SENSOR_LINES}, random:SHARE with a share above 0 and up to 1, none, or own"
         )
 
+    def thin(self, depth: Depth, scan_line: NDArray[np.int16] | None, rng: Generator) -> Depth:
+        """Return the measurements that are part of the input; `scan_line` is that of each pixel."""
+        if self.kind == "none":
+            return nothing_known((depth.shape[0], depth.shape[1]))
+        if self.kind == "random":
+            return random_share(depth, self.share, rng)
+        if self.kind == "lines" and scan_line is not None:
+            return masked(depth, is_kept(scan_line, self.lines))
+        return depth
+
     def __str__(self) -> str:
         """The text that `parse` reads."""
         texts = {"lines": str(self.lines), "random": f"random:{self.share:g}"}
@@ -131,11 +141,12 @@ def split_lidar(
         The split, or None if the frame cannot give this input.
     """
     lines = lidar.lines if lidar.kind == "lines" else None
-    returns, scan_line = sample.returns, sample.scan_line
+    returns = sample.returns
+    scan_line = None if sample.scan_line is None else sample.scan_line + first_line
     if returns is not None and not sample.is_scan:
         if lines is not None and scan_line is None:
             return None
-        fed = _thin(returns, scan_line, lidar, rng, first_line)
+        fed = lidar.thin(returns, scan_line, rng)
         return LidarSplit(sample, fed, sample.depth)
     if returns is not None and scan_line is not None:
         half = SENSOR_LINES // 2
@@ -143,8 +154,8 @@ def split_lidar(
             return None
         to_feed = returns
         if same_target or lidar.kind == "own":
-            to_feed = masked(returns, is_kept(scan_line + first_line, half))
-        fed = _thin(to_feed, scan_line, lidar, rng, first_line)
+            to_feed = masked(returns, is_kept(scan_line, half))
+        fed = lidar.thin(to_feed, scan_line, rng)
         target = masked(returns, (to_feed if same_target else fed) == 0)
         return LidarSplit(sample, fed, OcclusionFilter().apply(target, returns))
     if lidar.kind in ("own", "lines") and sample.depth.any():
@@ -152,7 +163,7 @@ def split_lidar(
             return None
         fed = scan_lines(sample.depth, sample.intrinsics, lines or SENSOR_LINES, rng)
         return LidarSplit(sample, fed, sample.depth)
-    return LidarSplit(sample, _thin(sample.depth, None, lidar, rng, 0), sample.depth)
+    return LidarSplit(sample, lidar.thin(sample.depth, None, rng), sample.depth)
 
 
 def frame_generator(index: int) -> Generator:
@@ -163,20 +174,3 @@ def frame_generator(index: int) -> Generator:
 def masked(depth: Depth, kept: NDArray[np.bool_]) -> Depth:
     """Return the depth where `kept`, 0 elsewhere."""
     return np.where(kept, depth, np.float32(0))
-
-
-def _thin(
-    depth: Depth,
-    scan_line: NDArray[np.int16] | None,
-    lidar: LidarInput,
-    rng: Generator,
-    first_line: int,
-) -> Depth:
-    """Return the measurements that are part of the LiDAR input."""
-    if lidar.kind == "none":
-        return nothing_known((depth.shape[0], depth.shape[1]))
-    if lidar.kind == "random":
-        return random_share(depth, lidar.share, rng)
-    if lidar.kind == "lines" and scan_line is not None:
-        return masked(depth, is_kept(scan_line + first_line, lidar.lines))
-    return depth
