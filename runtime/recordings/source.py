@@ -144,8 +144,8 @@ class Source(ABC):
     ) -> Frame:
         """Return a frame with what its sensors measured, the depth projected into the image.
 
-        Images are rectified if requested, scans without times get that of their middle, and poses
-        move them.
+        The image is rectified if this was requested. A scan whose points have no times gets the
+        time of its middle, and poses move its returns to the time of the image.
 
         Args:
             frame: a frame of the list.
