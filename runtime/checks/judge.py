@@ -220,14 +220,10 @@ class Judge:
         says, *others = (row.told(member, views) for row, member in rows[:_MOST_NAMED])
         if others:
             says = f"{len(rows)} readings fit: " + "; or ".join([says, *others])
-        is_fault = all(row.severity is Severity.FAULT for row, _ in rows)
-        return Finding(
-            rows[0][0].name,
-            says,
-            Severity.FAULT if is_fault else Severity.WARNING,
-            {"fit as given": fit.score, "better by": choice.gain},
-            IMPLAUSIBLE_DEPTH if is_fault else "",
-        )
+        evidence = {"fit as given": fit.score, "better by": choice.gain}
+        if all(row.severity is Severity.FAULT for row, _ in rows):
+            return Finding(rows[0][0].name, says, Severity.FAULT, evidence, IMPLAUSIBLE_DEPTH)
+        return Finding(rows[0][0].name, says, Severity.WARNING, evidence)
 
 
 def _evidence_fault(answers: Collection[Answer]) -> Finding | None:
@@ -239,12 +235,8 @@ def _evidence_fault(answers: Collection[Answer]) -> Finding | None:
     is_doubtful = 2 * sum(bool(each.doubts) for each in answers) > len(answers)
     if boundary >= _LEAST_BOUNDARY and agreement >= _LEAST_AGREEMENT and not is_doubtful:
         return None
-    return Finding(
-        NO_EVIDENCE,
-        "the images are too dark, blurred or noisy to judge returns and calibration by them",
-        Severity.NOTE,
-        figures,
-    )
+    says = "the images are too dark, blurred or noisy to judge returns and calibration by them"
+    return Finding(NO_EVIDENCE, says, Severity.NOTE, figures)
 
 
 _NO_RETURNS = Finding(

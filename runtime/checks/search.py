@@ -16,12 +16,9 @@ _ROLL_STEP = 2.5  # steps of roll are so many times as large, because it moves r
 _LONGEST_MOVE, _ARRIVED = 1.5, 0.3  # in steps
 # Places around the current one at which the sum is computed, in steps: the place itself, and the
 # sides and corners of a cube.
-_CUBE = np.array(
-    [(0, 0, 0)]
-    + [way * side for side in np.eye(3) for way in (-1, 1)]
-    + [(x, y, z) for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)],
-    np.float64,
-)
+_FACES = [way * side for side in np.eye(3) for way in (-1, 1)]
+_CORNERS = [(x, y, z) for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]
+_CUBE = np.array([(0, 0, 0), *_FACES, *_CORNERS], np.float64)
 _PAIRS = [(0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)]
 _TERMS = np.column_stack(
     [np.ones(len(_CUBE)), _CUBE, *(_CUBE[:, i] * _CUBE[:, j] for i, j in _PAIRS)]
@@ -64,10 +61,8 @@ def held_out_gain(views: Sequence[View]) -> tuple[float, float]:
     The result is the mean gain of their scores over the given rotation, and its standard error.
     """
     half = (len(views) + 1) // 2
-    gains = [
-        scores_of(there, _climb(here)) - scores_of(there)
-        for here, there in ((views[:half], views[half:]), (views[half:], views[:half]))
-    ]
+    halves = (views[:half], views[half:]), (views[half:], views[:half])
+    gains = [scores_of(there, _climb(here)) - scores_of(there) for here, there in halves]
     both = np.concatenate(gains)
     return float(both.mean()), float(both.std(ddof=1) / np.sqrt(len(both)))
 

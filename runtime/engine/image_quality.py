@@ -8,12 +8,7 @@ import cv2
 import numpy as np
 
 from runtime.base.arrays import UInt8
-from runtime.contract.degraded import (
-    IMAGE_BLURRED,
-    IMAGE_CONSTANT,
-    IMAGE_DARK,
-    IMAGE_OVEREXPOSED,
-)
+from runtime.contract.degraded import IMAGE_BLURRED, IMAGE_CONSTANT, IMAGE_DARK, IMAGE_OVEREXPOSED
 
 _CONSTANT_STEP = 16  # every 16th pixel usually rules out a constant image
 _ROWS = 48  # at least so many rows are measured, if there are

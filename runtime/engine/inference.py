@@ -109,12 +109,8 @@ def at_frame_size(
     if frame.network_size == frame.frame_size:
         return dict(outputs)
     if frame.full_size_returns is not None and "depth" in outputs:
-        move_to_returns(
-            outputs["depth"],
-            outputs.get("depth_uncertainty"),
-            frame.full_size_returns,
-            range_m=frame.scale.range_m,
-        )
+        predicted = outputs["depth"], outputs.get("depth_uncertainty")
+        move_to_returns(*predicted, frame.full_size_returns, range_m=frame.scale.range_m)
     answers = {}
     for name, values in outputs.items():
         head = HEADS[name]

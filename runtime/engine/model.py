@@ -76,12 +76,6 @@ def open_model(
             ": export one with ssdnet-export, or install the package that registers its heads"
         )
     batch, height, width = shapes["sparse_depth"]
-    model = Model(
-        path=path,
-        contract=file.contract,
-        sha256=file.sha256,
-        heads=heads,
-        size=(height, width) if isinstance(height, int) else None,
-        free_batch=not isinstance(batch, int),
-    )
-    return model, session
+    size = (height, width) if isinstance(height, int) else None
+    free_batch = not isinstance(batch, int)
+    return Model(path, file.contract, file.sha256, heads, size, free_batch), session

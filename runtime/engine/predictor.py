@@ -250,13 +250,9 @@ class Predictor:
         focal_px = _check_focal_length(focal_length_px) or self.focal_length_px
         if focal_px is not None:
             check_field_of_view(focal_px, frame_size[1])
-        return camera_scale(
-            self.contract.max_depth_m,
-            self.contract.canonical_focal_px,
-            focal_px,
-            frame_size=frame_size,
-            network_size=self.network_size(frame_size),
-        )
+        of_model = self.contract.max_depth_m, self.contract.canonical_focal_px
+        size = self.network_size(frame_size)
+        return camera_scale(*of_model, focal_px, frame_size=frame_size, network_size=size)
 
     def warm_up(self, size: Size, *, runs: int = 1) -> None:
         """Predict gray frames without returns, so that memory and caches are ready.
@@ -348,12 +344,8 @@ class Predictor:
         ]
 
     def _preprocess(self, rgb: Any, sparse_depth: Any, focal_length_px: Any) -> NetworkInput:
-        return preprocess(
-            rgb,
-            sparse_depth,
-            size_for=self.network_size,
-            scale_for=partial(self.camera_scale, focal_length_px=focal_length_px),
-        )
+        scale_for = partial(self.camera_scale, focal_length_px=focal_length_px)
+        return preprocess(rgb, sparse_depth, size_for=self.network_size, scale_for=scale_for)
 
 
 def _one_each(name: str, values: Any, count: int) -> list[Any]:

@@ -104,17 +104,8 @@ def preprocess(
         degraded.insert(0, NO_DEPTH)
     elif covers_little(sparse_depth, returns=fed):
         degraded.insert(0, SPARSE_DEPTH_LOW)
-    return NetworkInput(
-        network_rgb,
-        sparse_depth,
-        frame_size,
-        full_size_returns,
-        cleaned,
-        returns,
-        tuple(degraded),
-        scale,
-        ms_since(started),
-    )
+    arrays = network_rgb, sparse_depth, frame_size, full_size_returns
+    return NetworkInput(*arrays, cleaned, returns, tuple(degraded), scale, ms_since(started))
 
 
 def check_rgb(rgb: Any) -> UInt8:

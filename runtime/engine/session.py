@@ -75,11 +75,9 @@ def open_session(
         settings = {"device_id": str(device_id), "cudnn_conv_algo_search": "HEURISTIC"}
         printed = _preload(ort)
     try:
+        options, providers = _options(ort, threads, weights_folder), [(name, settings)]
         session = ort.InferenceSession(
-            model,
-            sess_options=_options(ort, threads, weights_folder),
-            providers=[(name, settings)],
-            enable_fallback=False,
+            model, sess_options=options, providers=providers, enable_fallback=False
         )
     except Exception as error:
         if provider == "cpu":
@@ -151,11 +149,8 @@ def _require_running(session: Any, provider: str, printed: str) -> None:
 
 def _assigned_nodes(session: Any) -> list[tuple[str, str]]:
     """Return (execution provider, operator) of every node."""
-    return [
-        (subgraph.ep_name, node.op_type)
-        for subgraph in session.get_provider_graph_assignment_info()
-        for node in subgraph.get_nodes()
-    ]
+    subgraphs = session.get_provider_graph_assignment_info()
+    return [(each.ep_name, node.op_type) for each in subgraphs for node in each.get_nodes()]
 
 
 def _unloadable(error: Exception) -> ContractError:

@@ -238,13 +238,13 @@ class Calibration:
         beside = np.eye(4)
         beside[:3, :3] = cameras.matrix(f"R_{camera}", 3, 3)
         beside[:3, 3] = cameras.matrix(f"T_{camera}", 1, 3)[0]
-        return cls(
+        matrix, to_camera = (
             cameras.matrix(f"K_{camera}", 3, 3),
-            beside @ np.vstack([to_camera, np.eye(4)[3]]),
-            (height, width),
-            lens=PLUMB_BOB,
-            distortion=cameras.matrix(f"D_{camera}", 1, 5)[0].tolist(),
+            np.vstack([to_camera, np.eye(4)[3]]),
         )
+        distortion = cameras.matrix(f"D_{camera}", 1, 5)[0].tolist()
+        size = height, width
+        return cls(matrix, beside @ to_camera, size, lens=PLUMB_BOB, distortion=distortion)
 
     @classmethod
     def from_camera_info(
@@ -283,13 +283,9 @@ class Calibration:
         else:
             raise InputError("the CameraInfo has neither p nor k: give its fields as a mapping")
         intrinsics, size = region_of_images(fields, intrinsics, size)
-        return cls(
-            intrinsics,
-            shift @ finite_matrix("extrinsics", extrinsics, 4, 4),
-            size,
-            lens=None if lens is None else lens.model,
-            distortion=None if lens is None else lens.coefficients,
-        )
+        to_camera = shift @ finite_matrix("extrinsics", extrinsics, 4, 4)
+        model, distortion = (None, None) if lens is None else (lens.model, lens.coefficients)
+        return cls(intrinsics, to_camera, size, lens=model, distortion=distortion)
 
     @classmethod
     def from_toml(cls, path: Path | str) -> "Calibration":
@@ -305,10 +301,8 @@ class Calibration:
         """
         keys = read_toml(Path(path))
         in_camera = keys.get("points_in") == "camera"
-        if keys.keys() - {"size", "body_from_lidar", "lens", "distortion"} != {
-            "intrinsics",
-            "points_in" if in_camera else "extrinsics",
-        }:
+        needed = {"intrinsics", "points_in" if in_camera else "extrinsics"}
+        if keys.keys() - {"size", "body_from_lidar", "lens", "distortion"} != needed:
             raise InputError(
                 f"{path} has the keys {', '.join(sorted(keys)) or 'none'}, expected intrinsics, "
                 'extrinsics (or points_in = "camera") and optionally size, lens with distortion, '

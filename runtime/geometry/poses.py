@@ -271,10 +271,8 @@ class PoseBuffer:
             square_s2 = after_s * (after_s + base_s)
             far_m, far_deg = _ACCELERATION_M_S2 * square_s2, _TURN_DEG_S2 * square_s2
         cosine = min(1.0, abs(float(expected.quaternion @ pose.quaternion)))
-        return bool(
-            np.linalg.norm(pose.position - expected.position) > _JUMP_M + far_m
-            or np.degrees(2 * np.arccos(cosine)) > _JUMP_DEG + far_deg
-        )
+        is_far = np.linalg.norm(pose.position - expected.position) > _JUMP_M + far_m
+        return bool(is_far or np.degrees(2 * np.arccos(cosine)) > _JUMP_DEG + far_deg)
 
 
 def quaternion_of(rotation: Float64) -> Float64:

@@ -9,12 +9,7 @@ from scipy.spatial.transform import Rotation, Slerp
 from car_poses import DAY_NS, MS, drive, pose
 from runtime.base.errors import InputError
 from runtime.geometry.calibration import Calibration
-from runtime.geometry.motion import (
-    compensate_points,
-    lidar_mount,
-    point_times,
-    project_compensated,
-)
+from runtime.geometry.motion import compensate_points, lidar_mount, point_times, project_compensated
 from runtime.geometry.poses import PoseFrame, PoseTrack
 from runtime.streams.frame import Frame
 from runtime.streams.messages import Image, Scan
