@@ -46,12 +46,11 @@ _BATCH = 4
 _PASSES, _MIN_STEPS, _MAX_STEPS = 20, 70, 10_000
 # Only the last layers of the classes are trained: the depth head reads the features of the classes,
 # and training them further made the depth a third worse in 150 steps. The rate is that of layers
-# which begin at random. In 70 steps this decay leaves half of the start in the average: weights
-# that only twenty pictures have moved answer too much as the rare classes of these.
-_CLASSES_ALONE: dict[str, Any] = {
-    "optimizer": {"only": ["semantic_"], "frozen": ["semantic_decoder"], "learning_rate": 2e-3},
-    "loop": {"ema_decay": 0.99, "ema_keeps_start": True},
-}
+# which begin at random.
+_CLASSES_ALONE = {"only": ["semantic_"], "frozen": ["semantic_decoder"], "learning_rate": 2e-3}
+# In 70 steps half of the start remains in the average: weights that only twenty pictures have moved
+# answer too much as the rare classes of these. A class that begins at random would suffer.
+_HALF_OF_START = {"ema_decay": 0.99, "ema_keeps_start": True}
 # One frame in this number is for validation, but no fewer than the least that give a verdict.
 _VALIDATION, _LEAST_APART = 10, LEAST_DRAWN
 # The least number of frames.
@@ -154,8 +153,8 @@ class OwnFolders:
             height, width = read_rgb(frames.images[0]).shape[:2]
             keys["intrinsics"] = (*[self.focal_length_px] * 2, (width - 1) / 2, (height - 1) / 2)
         heights = [_read_height(path) for path in frames.images] or [frames[0].size[0]]
-        rows, fits_all = self._choose_rows(heights, init)
-        if not fits_all:
+        rows = self._choose_rows(heights, init.facts.trained_height)
+        if any(max(each, rows) > LARGEST_RATIO * min(each, rows) for each in heights):
             keys["size"] = rows
             frames = replace(recipe, size=rows).open(folder, named)
         apart = _choose_apart(frames.names, fold, folds)
@@ -168,8 +167,8 @@ class OwnFolders:
         looked_at = (frames[each] for each in trained[:: -(-len(trained) // _LOOKED_AT)])
         origins = self._origins(classes, looked_at, init)
         infos = [{**asdict(info), "of": origins[info.name]} for info in classes]
-        layers = _choose_layers(init.network, learns_classes=bool(classes))
-        return _make_tables(infos, rows, keys, trained, apart) | layers
+        tables = _make_tables(infos, rows, keys, trained, apart)
+        return tables | _choose_layers(init.network, infos)
 
     def _learned_classes(self) -> tuple[tuple[ClassInfo, ...], dict[str, Any]]:
         """Return the classes that are learned, and the keys that say what the labels mean."""
@@ -237,15 +236,8 @@ class OwnFolders:
         }
         return keys | {key: value for key, value in stated.items() if value is not None}
 
-    def _choose_rows(self, heights: Sequence[int], init: Weights) -> tuple[int, bool]:
-        """Return the rows [px] that the network is trained for, and whether all images fit them."""
-        rows, _ = network_size(
-            None, (self._common_rows(heights),) * 2, trained_height=init.facts.trained_height
-        )
-        return rows, all(max(each, rows) <= LARGEST_RATIO * min(each, rows) for each in heights)
-
-    def _common_rows(self, heights: Sequence[int]) -> int:
-        """Return the median of the images' rows; report images of a far different number."""
+    def _choose_rows(self, heights: Sequence[int], trained_height: int | None) -> int:
+        """Return the rows [px] that the network is trained for; report images of far others."""
         rows = int(median(heights))
         far = [height for height in heights if not rows / 2 <= height <= 2 * rows]
         if far:
@@ -254,7 +246,7 @@ class OwnFolders:
             if len(far) > len(heights) // 10:
                 raise InputError(f"{text}: train on a folder of each size")
             tqdm.write(f"warning: {text}; all are resized to the same rows", file=sys.stderr)
-        return rows
+        return network_size(None, (rows, rows), trained_height=trained_height)[0]
 
 
 def _make_tables(
@@ -283,15 +275,15 @@ def _make_tables(
     return tables
 
 
-def _choose_layers(network: Network, *, learns_classes: bool) -> dict[str, Any]:
+def _choose_layers(network: Network, classes: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     """Return the tables that say which layers are trained; those of other networks all are."""
     if not network.depth_layers:
         return {}
-    if learns_classes:
-        return _CLASSES_ALONE
-    # Classes and boundaries stay as they are.
-    shared = [*network.shared_depth_layers]
-    return {"optimizer": {"only": [*network.depth_layers], "frozen": shared}}
+    if not classes:  # classes and boundaries stay as they are
+        shared = [*network.shared_depth_layers]
+        return {"optimizer": {"only": [*network.depth_layers], "frozen": shared}}
+    is_known = all(info["of"] for info in classes)
+    return {"optimizer": _CLASSES_ALONE} | ({"loop": _HALF_OF_START} if is_known else {})
 
 
 def _list_parts(indices: Sequence[int]) -> list[list[int]]:

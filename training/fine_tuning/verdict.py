@@ -148,8 +148,8 @@ def conclude(
     is_known = all(set(of) & set(names) for of in recipe.model.relatives)
     if verdict != "better":
         lines.append(
-            "try more pictures, of other places; --folds 5, which scores on all of them; or "
-            "another optimizer.learning_rate"
+            "try more pictures, of other places; --folds 5, which scores on all of them; or more "
+            "schedule.steps, or another optimizer.learning_rate"
         )
     if is_worse and is_known:
         lines.append(f"kept: the model before; the trained one is {path}")

@@ -64,6 +64,7 @@ def test_a_model_that_became_worse_is_not_kept(mine):
     kept, trained = (load_checkpoint(mine / "run" / name) for name in ("model.pt", "trained.pt"))
     assert kept.model.config.class_rows == (10, 1)
     assert (kept.facts.step, trained.facts.step) == (0, 2)
+    assert trained.facts.recipe["loop"]["ema_keeps_start"]
     image = cv2.imread(str(mine / "images/03.png"))[..., ::-1].copy()
     answer = torch_predict(kept.model)(image, NOTHING, None).semantic
     assert np.array_equal(answer, cv2.imread(str(mine / "labels/03.png"), cv2.IMREAD_UNCHANGED))
@@ -81,6 +82,7 @@ def test_folds_score_every_frame_and_the_last_training_has_all(mine):
     facts = load_checkpoint(mine / "run/model.pt").facts
     assert facts.recipe["data"]["source"][0]["parts"] == ((0, 11),)
     assert facts.recipe["validation"]["source"] == ()
+    assert not facts.recipe["loop"]["ema_keeps_start"]  # of which a random class would suffer
     fold = load_checkpoint(mine / "run/fold-2/model.pt").facts.recipe
     assert fold["data"]["source"][0]["parts"] == ((0, 3), (8, 11))
     assert fold["validation"]["source"][0]["parts"] == ((4, 7),)
