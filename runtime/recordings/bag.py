@@ -15,7 +15,10 @@ from numpy.typing import NDArray
 from runtime.base.errors import InputError
 from runtime.checks.sensor_times import clocks_apart_s, report_clocks
 from runtime.geometry.assumptions import assume
+from runtime.geometry.odometry import ODOMETRY as FROM_SCANS
+from runtime.geometry.odometry import Odometry
 from runtime.geometry.point_cloud import depth_to_cloud
+from runtime.geometry.poses import PoseFrame
 from runtime.geometry.rig import DEFAULT_RIG, Rig
 from runtime.recordings.bag_messages import BagMessages
 from runtime.recordings.bag_sensors import ODOMETRY, TRANSFORMS, BagOptions, BagSensors
@@ -122,6 +125,11 @@ class BagSource(Source):
         moving = [t for t in bag.of_kind(*TRANSFORMS) if not t.endswith("tf_static")]
         if requested == NO_TOPIC or not self._sensors.has_clouds:
             return None
+        if requested == FROM_SCANS:
+            Odometry()  # raises if its package is missing
+            self._pose_frame = PoseFrame.LIDAR
+            self._note("poses by odometry: those of the bag, if any, are not used")
+            return requested
         fitting, guesses = odometry + moving, odometry or moving[:1]
         topic = choose_topic(bag, "pose_topic", requested, fitting, guesses)
         if topic is None:
@@ -179,6 +187,8 @@ class BagSource(Source):
                 yield Place(sensor, place, stamp_ns or message.recorded_ns)
 
         frames = self._match(stamped(), limit=limit, camera_only=self._depth_topic is None)
+        if self._pose_topic == FROM_SCANS:
+            self._poses = pose_track(self._poses_of_scans())
         self.left_out.update(self._bag.left_out)
         clocks = offsets[Sensor.IMAGE], offsets[Sensor.DEPTH], self._period_ns
         ahead_s = clocks_apart_s(*clocks, is_scan=self._sensors.has_clouds)
@@ -201,6 +211,15 @@ class BagSource(Source):
             )
         self._messages.expect(frames)
         return frames
+
+    def _poses_of_scans(self) -> Iterator[tuple[int, NDArray[np.float64]]]:
+        """Yield the poses of the LiDAR in the middle of each of its scans."""
+        odometry = Odometry()
+        for message in self._bag.messages([self._depth_topic or ""]):
+            with contextlib.suppress(InputError):  # reported when the frame is read
+                if (stamp_ns := self._bag.stamp_ns(message)) is not None:
+                    pose = odometry.add(decode_points(self._bag.decode(message)))
+                    yield (stamp_ns or message.recorded_ns) + self._to_middle_ns, pose
 
     def read(self, frame: ListedFrame) -> Frame:
         """See `Source.read`."""

@@ -40,8 +40,9 @@ class BagOptions(NamedTuple):
             are not registered are moved with their CameraInfo and /tf_static or the rig's
             calibration.
         pose_topic: topic of Odometry messages, or of TFMessage messages such as /tf, whose poses
-            move clouds to the time of the image; "none": clouds are not moved; None: the only
-            Odometry topic, else /tf, if there is one and /tf_static connects it to the LiDAR.
+            move clouds to the time of the image; "none": clouds are not moved; "odometry": they are
+            found from the clouds, see `Odometry`; None: the only Odometry topic, else /tf, if there
+            is one and /tf_static connects it to the LiDAR.
     """
 
     image_topic: str | None = None

@@ -72,7 +72,7 @@ SOURCE_KEYS = {
     "image_topic": SourceKey("a topic, or those of several cameras joined by +", _text),
     "depth_topic": SourceKey("a topic or none", _text),
     "info_topic": SourceKey("a topic", _text),
-    "pose_topic": SourceKey("a topic or none", _text),
+    "pose_topic": SourceKey("a topic, none or odometry", _text),
 }
 _PATHS = ("depth", "points", "poses")  # options whose values are paths
 _RIG_NAMES = {each.name for each in fields(Rig)}

@@ -325,3 +325,27 @@ def test_a_folder_gets_its_poses_from_its_scans(tmp_path, make_frame, write_rgb,
     assert frames[2].depth_motion == "scan"
     with pytest.raises(InputError, match="leave pose_frame out"):
         open_source("folders", tmp_path / "image", replace(rig, pose_frame="body"), **files)
+
+
+@pytest.mark.parametrize("of", ["ros1", "mcap"])
+def test_odometry_replaces_the_poses_of_a_bag(moving, make_scan, monkeypatch, of):
+    """The odometry drives backwards, the bag's poses ahead."""
+
+    class Backwards:
+        added = 0
+
+        def add(self, points):
+            pose = np.eye(4)
+            pose[0, 3] = -0.1 * SPEED * self.added
+            self.added += 1
+            return pose
+
+    monkeypatch.setattr("runtime.recordings.bag.Odometry", Backwards)
+    path = moving(of).write()
+    with BagSource(path, Rig(max_skew_ms=20), pose_topic="odometry") as source:
+        frames = [source.read(listed) for listed in source.list_frames()]
+        assert source.inputs["pose_topic"] == "odometry"
+        assert any("of the bag, if any, are not used" in note for note in source.notes)
+    for index in (1, 2, 3):
+        expected = seen(make_scan(index // 2), -0.05 * SPEED * (index % 2))
+        assert agree(frames[index].sparse_depth, expected)
