@@ -1,5 +1,6 @@
 """A drive of KITTI raw data."""
 
+import os
 from pathlib import Path
 
 import cv2
@@ -7,6 +8,7 @@ import numpy as np
 import pytest
 
 from runtime import InputError
+from runtime.recordings.images import read_sparse_depth
 from runtime.recordings.kitti_raw import KittiRawSource
 from small_rig import SIZE, agree, projected
 
@@ -141,6 +143,30 @@ def test_a_drive_that_is_not_whole(drive, path, content, named):
         (drive / path).write_text(content)
     with pytest.raises(InputError, match=named):
         KittiRawSource(drive).list_frames()
+
+
+DATA = os.environ.get("SSDNET_DATA")
+
+
+@pytest.mark.skipif(not DATA, reason="SSDNET_DATA names no folder of recordings")
+def test_a_real_drive_gives_the_depth_maps_that_were_made_of_it(tmp_path):
+    """The recording holds the returns in view and their projection, by floor where ours rounds."""
+    kitti = Path(DATA) / "kitti_stream"
+    for link, target in (("image_02", "image_02"), ("velodyne_points", "velodyne_fov")):
+        (tmp_path / "drive" / link).mkdir(parents=True)
+        (tmp_path / "drive" / link / "data").symlink_to(kitti / target)
+        (tmp_path / "drive" / link / "timestamps.txt").write_text(stamps(range(0, 6000, 100)))
+    for name in ("calib_cam_to_cam.txt", "calib_velo_to_cam.txt"):
+        (tmp_path / name).symlink_to(kitti / name)
+    source = KittiRawSource(tmp_path / "drive")
+    frames = source.list_frames()
+    assert len(frames) == 60
+    for frame in (frames[0], frames[41]):
+        ours = source.read(frame).sparse_depth
+        theirs = read_sparse_depth(kitti / "sparse_depth_02" / f"{frame.name}.png")
+        both = (ours > 0) & (theirs > 0)
+        assert abs(np.count_nonzero(ours) / np.count_nonzero(theirs) - 1) < 0.01
+        assert np.median(abs(ours[both] - theirs[both])) < 0.01
 
 
 def test_scans_of_another_time_match_no_image(drive, run):

@@ -1,6 +1,8 @@
 """Recordings as people download them: what a path without any option is read as."""
 
 import dataclasses
+import os
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -224,3 +226,19 @@ def test_what_is_missing_costs_its_frame(training):
         with pytest.raises(InputError, match=named):
             source.read(frames[index])
     assert source.calibration.focal_length_px == source.read(frames[1]).calibration.focal_length_px
+
+
+DATA = os.environ.get("SSDNET_DATA")
+
+
+@pytest.mark.skipif(not DATA, reason="SSDNET_DATA names no folder of recordings")
+def test_recorded_frames_have_returns_where_there_are_scans():
+    folder = Path(DATA) / "kitti_object"
+    with KittiObjectSource(folder, points=folder / "velodyne_fov") as source:
+        frames = [source.read(listed) for listed in source.list_frames()]
+    returns = {frame.name: np.count_nonzero(frame.sparse_depth) for frame in frames}
+    assert len(frames) == 18
+    with_scan = {name: count for name, count in returns.items() if count}
+    assert list(with_scan) == [f"{number:06d}" for number in (4, 5, 6, 7, 9)]
+    assert min(with_scan.values()) > 15_000
+    assert len({frame.calibration.focal_length_px for frame in frames}) > 1
