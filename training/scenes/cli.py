@@ -65,7 +65,12 @@ def render(
             "ask for fewer frames or a smaller stride",
             param_hint="--frames",
         )
-    variants, pixels = variant or list(Variant), _parse_size(size)
+    height, _, width = size.partition("x")
+    if not (height.isdigit() and width.isdigit() and min(int(height), int(width)) >= MIN_SIDE):
+        raise typer.BadParameter(
+            f"{size!r} is not HEIGHTxWIDTH of {MIN_SIDE} pixels or more", param_hint="--size"
+        )
+    variants, pixels = variant or list(Variant), (int(height), int(width))
     with reported_errors("train"):
         from training.scenes.scene_job import SceneJob, run_job
     jobs = [
@@ -110,12 +115,3 @@ def _run_job(job: "SceneJob", *, out: Path, overwrite: bool) -> int:
             _done.value += 1
 
     return run_job(job, out=out, overwrite=overwrite, advance=advance)
-
-
-def _parse_size(text: str) -> tuple[int, int]:
-    height, _, width = text.partition("x")
-    if not (height.isdigit() and width.isdigit() and min(int(height), int(width)) >= MIN_SIDE):
-        raise typer.BadParameter(
-            f"{text!r} is not HEIGHTxWIDTH of {MIN_SIDE} pixels or more", param_hint="--size"
-        )
-    return int(height), int(width)

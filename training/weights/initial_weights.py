@@ -230,19 +230,15 @@ def prepare_teacher(weights: Weights | None, loss: LossConfig, network: Network)
             f"loss.weights.distilled_{missing[0]} = 0, or give a teacher with it"
         )
     for key in ("classes", "max_depth_m", "canonical_focal_px"):
-        wanted, found = (_meaning(item, key) for item in (network, teacher))
+        wanted, found = (getattr(item.config, key) for item in (network, teacher))
+        if key == "classes":  # in any colours
+            wanted, found = ([info.name for info in table] for table in (wanted, found))
         if wanted != found:
             raise InputError(
                 f"{given}: its {key} is {found}, that of the recipe {wanted}: give a "
                 "teacher that was trained for the same, or change model.config"
             )
     return teacher.eval().requires_grad_(False)
-
-
-def _meaning(network: Network, key: str) -> object:
-    """Return a setting that a network's answers depend on; for classes, their names."""
-    value = getattr(network.config, key)
-    return [info.name for info in value] if key == "classes" else value
 
 
 def weights_folder() -> Path:
