@@ -32,8 +32,8 @@ class LoopRecipe:
     Attributes:
         autocast: type of the network's arithmetic; "none" is float32.
         ema_decay: decay of the averaged weights in model.pt; 0: no averaging.
-        ema_keeps_start: whether the average begins with the initial weights, of which a short
-            training then leaves a part; otherwise it forgets them within ten steps.
+        ema_keeps_start: whether the average begins with the weights after the first step, of which
+            a short training then leaves a part; otherwise it forgets them early.
         clip_norm: largest norm of the gradient; 0: no clipping.
         accumulate: batches per process whose gradients are averaged for one step; batch
             normalisation is over each batch.
