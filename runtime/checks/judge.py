@@ -188,10 +188,8 @@ class Judge:
             return Judgement()
         views, rows = [each.view for each in self._seen], self._readings
         fit = median_fit([each.fit for each in self._seen])
-        gains = {
-            key: np.array([each.gains.get(key, 0.0) for each in self._seen])
-            for key in dict.fromkeys(key for each in self._seen for key in each.gains)
-        }
+        keys = dict.fromkeys(key for each in self._seen for key in each.gains)
+        gains = {key: np.array([each.gains.get(key, 0.0) for each in self._seen]) for key in keys}
         weak = _evidence_fault([view.answer for view in views])
         if weak is not None:  # only a change of the images may win
             gains = {key: each for key, each in gains.items() if rows[key[0]].changes_image}

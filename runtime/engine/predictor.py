@@ -216,10 +216,8 @@ class Predictor:
             predictions = self._run(inputs, [stamps[place] for place in places])
             answers.update(zip(places, predictions, strict=True))
         total_ms = ms_since(started)
-        return [
-            replace(answer, latency=replace(answer.latency, total_ms=total_ms))
-            for _, answer in sorted(answers.items())
-        ]
+        ordered = (answers[place] for place in range(len(frames)))
+        return [replace(each, latency=replace(each.latency, total_ms=total_ms)) for each in ordered]
 
     def network_size(self, frame_size: Size) -> Size:
         """Return the (height, width) at which the network runs for a frame.

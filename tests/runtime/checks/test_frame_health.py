@@ -110,11 +110,8 @@ def test_a_recorded_drive_is_healthy_until_a_part_is_lost(check_depth):
 
 def street(frame):
     """An image that changes as in a drive."""
-    return np.roll(
-        noise(0, size=SIZE) // 2 + np.linspace(0, 127, SIZE[1]).astype(np.uint8)[:, None],
-        30 * frame,
-        1,
-    )
+    ramp = np.linspace(0, 127, SIZE[1]).astype(np.uint8)[:, None]
+    return np.roll(noise(0, size=SIZE) // 2 + ramp, 30 * frame, 1)
 
 
 def points(seed=0):
@@ -127,10 +124,8 @@ def test_a_lidar_that_repeats_itself_is_frozen_from_the_third_scan_on():
     assert found == [(), (), *[("lidar_frozen",)] * 3]
     assert health.check(street(5), depth, scan=points(1)) == ()
     times = np.full((500, 1), 7, np.float32)  # a further column is not compared
-    found = [
-        health.check(street(i), depth, scan=np.hstack([points(2)[:, :3], times * i]))
-        for i in range(3)
-    ]
+    timed = [np.hstack([points(2)[:, :3], times * i]) for i in range(3)]
+    found = [health.check(street(i), depth, scan=each) for i, each in enumerate(timed)]
     assert found[2] == ("lidar_frozen",)
 
 

@@ -132,10 +132,8 @@ def test_a_bundled_model_on_frames_of_the_bundled_stream():
         answers = [predictor.predict(each.rgb, None) for each in frames]
 
     def found(change):
-        made = [
-            Frame(each.image, Depth(np.ascontiguousarray(change(each.sparse_depth))))
-            for each in frames
-        ]
+        maps = (Depth(np.ascontiguousarray(change(each.sparse_depth))) for each in frames)
+        made = [Frame(each.image, depth) for each, depth in zip(frames, maps, strict=True)]
         views = [view_of(frame, answer) for frame, answer in zip(made, answers, strict=True)]
         return names(views)
 

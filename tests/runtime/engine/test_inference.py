@@ -38,12 +38,8 @@ def test_values_within_the_limits_are_right(contract, head, values):
 def test_the_depth_of_a_large_frame_moves_to_its_own_returns(feed, expected):
     rgb, returns = np.zeros((80, 120, 3), np.uint8), np.zeros((80, 120), np.float32)
     returns[::4, ::4] = 10.2
-    frame = preprocess(
-        rgb,
-        returns if feed else None,
-        size_for=lambda size: (40, 60),
-        scale_for=lambda size: CameraScale(2.0, 80.0, 500.0),
-    )
+    fed, scale = returns if feed else None, CameraScale(2.0, 80.0, 500.0)
+    frame = preprocess(rgb, fed, size_for=lambda _: (40, 60), scale_for=lambda _: scale)
     outputs = {name: np.full((40, 60), 20, np.float32) for name in ("depth", "depth_uncertainty")}
     answers = at_frame_size(outputs, frame)
     assert answers["depth"].shape == (80, 120)

@@ -95,13 +95,9 @@ def test_a_model_whose_answer_to_an_empty_frame_is_not_finite_is_refused(model_f
     def edit(graph: onnx.GraphProto) -> None:
         (last,) = (node for node in graph.node if "depth" in node.output)
         last.output[0] = "metres"
-        graph.node.extend(
-            [
-                helper.make_node("Sub", ["metres", "metres"], ["zero"]),
-                helper.make_node("Div", ["zero", "zero"], ["nan"]),
-                helper.make_node("Add", ["metres", "nan"], ["depth"]),
-            ]
-        )
+        graph.node.append(helper.make_node("Sub", ["metres", "metres"], ["zero"]))
+        graph.node.append(helper.make_node("Div", ["zero", "zero"], ["nan"]))
+        graph.node.append(helper.make_node("Add", ["metres", "nan"], ["depth"]))
 
     with pytest.raises(ContractError, match="empty frame is not finite"):
         Predictor(model_file(edit=edit), warmup=warmup)

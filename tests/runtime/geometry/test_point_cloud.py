@@ -76,10 +76,8 @@ def test_the_boundary_of_a_model_without_classes_is_not_halved():
 
 
 def test_the_sky_has_no_points_unless_asked_for(model_file, make_frame, contract):
-    sky = dataclasses.replace(
-        contract,
-        classes=(contract.classes[0], dataclasses.replace(contract.classes[1], name="Sky")),
-    )
+    dark, red = contract.classes
+    sky = dataclasses.replace(contract, classes=(dark, dataclasses.replace(red, name="Sky")))
     with Predictor(model_file(contract=sky), threads=1) as predictor:
         prediction = predictor.predict(*make_frame())
     edges = prediction.boundary <= 0.25

@@ -40,13 +40,8 @@ places = st.tuples(*[st.floats(-3, 3)] * 3)
 def test_between_poses_it_is_scipys_slerp_and_a_straight_line(rotvecs, data):
     positions = [data.draw(places) for _ in rotvecs]
     stamps = DAY_NS + np.cumsum([data.draw(st.integers(1, 250)) for _ in rotvecs]) * MS
-    track = PoseTrack(
-        stamps,
-        Rotation.from_rotvec(rotvecs).as_quat()[:, [3, 0, 1, 2]],
-        np.array(positions),
-        np.zeros(len(stamps), bool),
-        np.eye(4),
-    )
+    turns, jumped = Rotation.from_rotvec(rotvecs).as_quat(), np.zeros(len(stamps), bool)
+    track = PoseTrack(stamps, turns[:, [3, 0, 1, 2]], np.array(positions), jumped, np.eye(4))
     times = np.array([data.draw(st.integers(int(stamps[0]), int(stamps[-1]))) for _ in range(5)])
     seconds = (stamps - DAY_NS) / 1e9
     expected = Slerp(seconds, Rotation.from_rotvec(rotvecs))((times - DAY_NS) / 1e9).as_matrix()
@@ -162,10 +157,8 @@ def test_a_mounted_frame_moves_with_the_car():
     np.testing.assert_allclose(found, np.array(poses) @ mount, atol=1e-9)
 
 
-messages = st.lists(
-    st.tuples(st.one_of(st.integers(-300, 300), st.integers(-(10**5), 10**5)), places, angles),
-    max_size=40,
-)
+steps = st.one_of(st.integers(-300, 300), st.integers(-(10**5), 10**5))
+messages = st.lists(st.tuples(steps, places, angles), max_size=40)
 
 
 @settings(max_examples=60, deadline=None)
