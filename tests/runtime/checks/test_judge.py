@@ -57,7 +57,10 @@ def weakened(view, share):
 def test_nothing_is_judged_by_answers_without_evidence():
     """The returns are in another unit, and are not judged in the dark."""
     wrong = [street_map(seed, lambda depth: depth * np.float32(10)) for seed in range(5)]
-    assert names(wrong) == ["unit"]
+    found = judged(wrong)
+    assert [each.name for each in found.findings] == ["unit"]
+    assert "range_instead_of_depth_along_axis" in found.tested, "as bad as given is told apart"
+    assert "not told apart" not in found.text
     judgement = judged([weakened(view, 0.2) for view in wrong])
     (finding,) = judgement.findings
     assert finding.name == NO_EVIDENCE
