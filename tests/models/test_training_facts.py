@@ -38,7 +38,7 @@ def test_a_height_that_no_image_has_is_refused(height):
 @pytest.mark.parametrize("name", list_weights())
 def test_the_files_of_today_are_read(name):
     facts = TrainingFacts.from_dict(load_checkpoint(find_weights(name)).training)
-    assert "camvid" in facts.data
+    assert {"camvid", "ImageNet"} & set(facts.data)
     assert "non-commercial" in facts.terms
     assert facts.trained_height == 400
     assert facts.classes == "camvid"

@@ -35,8 +35,8 @@ class RunOptions:
         "Folder of the run. A run that was stopped is resumed by the same command.", default=MISSING
     )
     init: str | None = option(
-        "Initial weights: the name of installed weights (ssdnet-lite, ssdnet-nano), or a path that "
-        "ends in .pt or holds a slash.",
+        "Initial weights: the name of installed weights (ssdnet-lite, ssdnet-nano, ssdnet-open), "
+        "or a path that ends in .pt or holds a slash.",
         default="ssdnet-lite",
     )
     changes: list[str] | None = option(
