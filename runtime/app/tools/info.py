@@ -1,6 +1,7 @@
 """`ssdnet-info`: the metadata of a model file."""
 
 import json
+from collections import defaultdict
 from dataclasses import asdict
 from typing import Annotated, Any
 
@@ -76,20 +77,23 @@ def _plain(fact: Any) -> str:
 def describe_bundled_models() -> str:
     """Return a table of the installed models: size, work and accuracy. Raises ContractError."""
     lines = [f"{'model':16}{'MB':>6}{'GMACs':>8}" + "".join(f"{name:>8}" for name in _ACCURACY)]
-    notes: dict[str, None] = {}  # used as an ordered set
-    for model in list_bundled_models():
+    models = list_bundled_models()
+    notes = defaultdict[str, list[str]](list)  # the models that a note is about
+    for model in models:
         file = load_model_file(find_model(model))
         contract = file.contract
         line = f"{model:16}{len(file.content) / 1e6:6.1f}{_cell(contract.giga_macs, 1)}"
-        notes["GMACs of a frame of {} x {}".format(*contract.native_size)] = None
+        notes["GMACs of a frame of {} x {}".format(*contract.native_size)].append(model)
         for name, (key, factor, digits) in _ACCURACY.items():
             rows = (contract.accuracy or {}).get("rows", [])
             row = next((row for row in rows if row[key] is not None), None)
             line += _cell(row and factor * row[key], digits)
             if row is not None:
-                notes[f"{name} on {row['data']}, LiDAR {row['lidar']}"] = None
+                notes[f"{name} on {row['data']}, LiDAR {row['lidar']}"].append(model)
         lines.append(line)
-    return "\n".join([*lines, *notes, f"more, and terms: {assets_folder() / 'MODEL_CARD.md'}"])
+    for note, named in notes.items():
+        lines.append(note if len(named) == len(models) else f"{note}: {', '.join(named)}")
+    return "\n".join([*lines, f"more, and terms: {assets_folder() / 'MODEL_CARD.md'}"])
 
 
 def _cell(value: float | None, digits: int) -> str:
