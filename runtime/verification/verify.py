@@ -90,9 +90,10 @@ class VerifyReport:
 def verify(
     predictor: Predictor,
     reference: Reference,
+    *,
     tolerances: Figures,
-    max_slowdown: float,
-    max_latency_ms: float,
+    max_slowdown: float = math.inf,
+    max_latency_ms: float = math.inf,
 ) -> VerifyReport:
     """Predict each recorded frame, and compare the answers with the recorded ones.
 

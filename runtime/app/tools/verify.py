@@ -135,8 +135,13 @@ def main(**given: Any) -> None:
                 unpack(reference, predictor, folder, overwrite=options.overwrite)
                 print_result(f"{len(reference.frames)} frames: {folder / MANIFEST_FILE}")
                 return
-            times = options.max_slowdown, options.max_latency_ms
-            report = verify(predictor, reference, options.tolerance or {}, *times)
+            report = verify(
+                predictor,
+                reference,
+                tolerances=options.tolerance or {},
+                max_slowdown=options.max_slowdown,
+                max_latency_ms=options.max_latency_ms,
+            )
         write_json(options.json_file, _to_json(report, predictor), overwrite=options.overwrite)
         if options.json_file != STDOUT:
             print_result(_table(report, predictor))
