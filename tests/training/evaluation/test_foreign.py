@@ -36,7 +36,7 @@ def publish(path, *, inverse):
     made_by = {name: node for node in graph.node for name in node.output}
     (decision,) = (node for node in graph.node if node.op_type == "ArgMax")
     scores = decision.input[0]
-    if made_by[scores].op_type == "Resize":
+    while made_by[scores].op_type in ("Reshape", "Resize"):
         scores = made_by[scores].input[0]
     mean, std = (np.array(each, np.float32).reshape(1, 3, 1, 1) for each in IMAGENET)
     constants = {"mean_": mean, "std_": std, "channel_": np.array([1])}
