@@ -7,8 +7,10 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from models import SSDNetLite, SSDNetLiteConfig, save_checkpoint
 from small_rig import SIZE, START_NS
+
+pytest.importorskip("torch", reason="PyTorch (extra train) is not installed")
+from models import SSDNetLite, SSDNetLiteConfig, save_checkpoint
 from training.commands.finetune import app
 
 
