@@ -10,6 +10,20 @@ SIZE = (48, 64)
 INTRINSICS = [[60.0, 0, 32], [0, 60, 24], [0, 0, 1]]
 # A camera looks along z with x to the right; its body along x with y to the left (REP 103).
 OPTICAL = (-0.5, 0.5, -0.5, 0.5)
+# Of a car that drives, in metres a second.
+SPEED = 15.0
+
+
+class BackwardsOdometry:
+    """Stands in for `Odometry`: the car drives backwards, and scans come at 10 Hz."""
+
+    added = 0
+
+    def add(self, points):
+        pose = np.eye(4)
+        pose[0, 3] = -0.1 * SPEED * self.added
+        self.added += 1
+        return pose
 
 
 def add_tree(bag):

@@ -10,7 +10,7 @@ import pytest
 from runtime import InputError
 from runtime.recordings.images import read_sparse_depth
 from runtime.recordings.kitti_raw import KittiRawSource
-from small_rig import SIZE, agree, projected
+from small_rig import SIZE, SPEED, BackwardsOdometry, agree, projected
 
 CAMERAS = """calib_time: 09-Jan-2012 13:57:47
 S_rect_02: 64 48
@@ -47,9 +47,6 @@ def drive(tmp_path, make_frame, make_scan, write_rgb):
     (folder.parent / "calib_cam_to_cam.txt").write_text(CAMERAS)
     (folder.parent / "calib_velo_to_cam.txt").write_text(SCANNER)
     return folder
-
-
-SPEED = 15.0
 
 
 def write_oxts(drive):
@@ -203,17 +200,7 @@ def test_a_drive_says_why_its_poses_are_not_used(drive, make_scan, missing):
 def test_odometry_replaces_the_poses_of_a_drive(drive, make_scan, monkeypatch):
     """The odometry drives backwards, `oxts` ahead."""
     write_oxts(drive)
-
-    class Backwards:
-        added = 0
-
-        def add(self, points):
-            pose = np.eye(4)
-            pose[0, 3] = -0.1 * SPEED * self.added
-            self.added += 1
-            return pose
-
-    monkeypatch.setattr("runtime.recordings.folders.Odometry", Backwards)
+    monkeypatch.setattr("runtime.recordings.folders.Odometry", BackwardsOdometry)
     source = KittiRawSource(drive, poses=Path("odometry"))
     frame = source.read(source.list_frames()[3])
     expected = projected(make_scan(3), left_m=0.05, ahead_m=-0.013 * SPEED)

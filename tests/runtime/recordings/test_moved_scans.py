@@ -13,11 +13,10 @@ from runtime.geometry.poses import PoseFrame
 from runtime.geometry.rig import Rig
 from runtime.recordings.bag import BagSource
 from runtime.recordings.folders import FolderSource
-from small_rig import INTRINSICS, MS, SIZE, START_NS, agree, projected
+from small_rig import INTRINSICS, MS, SIZE, SPEED, START_NS, BackwardsOdometry, agree, projected
 
 DATA = os.environ.get("SSDNET_DATA")
 N = 6
-SPEED = 15.0
 
 # LiDAR (x ahead, y left, z up) to camera: 0.5 m ahead of the LiDAR and 0.3 m below it.
 EXTRINSICS = np.array([[0.0, -1, 0, 0], [0, 0, -1, -0.3], [1, 0, 0, -0.5], [0, 0, 0, 1]])
@@ -330,17 +329,7 @@ def test_a_folder_gets_its_poses_from_its_scans(tmp_path, make_frame, write_rgb,
 @pytest.mark.parametrize("of", ["ros1", "mcap"])
 def test_odometry_replaces_the_poses_of_a_bag(moving, make_scan, monkeypatch, of):
     """The odometry drives backwards, the bag's poses ahead."""
-
-    class Backwards:
-        added = 0
-
-        def add(self, points):
-            pose = np.eye(4)
-            pose[0, 3] = -0.1 * SPEED * self.added
-            self.added += 1
-            return pose
-
-    monkeypatch.setattr("runtime.recordings.bag.Odometry", Backwards)
+    monkeypatch.setattr("runtime.recordings.bag.Odometry", BackwardsOdometry)
     path = moving(of).write()
     with BagSource(path, Rig(max_skew_ms=20), pose_topic="odometry") as source:
         frames = [source.read(listed) for listed in source.list_frames()]
